@@ -22,6 +22,7 @@ from oysterbench.results.standings import PRIMARY
 from oysterbench_leaderboard.boards.ranking import Claim, states, withdrawn
 from oysterbench_leaderboard.publishing.folders import folders_here, without_folders
 from oysterbench_leaderboard.publishing.hidden import discreet, is_hidden
+from oysterbench_leaderboard.publishing.truths import other_truth
 from oysterbench_leaderboard.storage.curves import curves_document, sequence_curve
 from oysterbench_leaderboard.storage.record import RANKED, Record, Tier
 from oysterbench_leaderboard.storage.store import RecordStore
@@ -112,8 +113,10 @@ def records_of(
 def publish(store: RecordStore, records: Iterable[Drawn]) -> list[tuple[Record, str, bool]]:
     """Store records, each superseding the current one of its method, team and board; return them with their digests,
     and whether they are new: identical results are stored once. Raises ResultError, and stores nothing, where a
-    reported record would supersede a ranked one."""
+    reported record would supersede a ranked one, or the ground truth of one is not that of the board."""
     done, given_records = [], list(records)
+    if why := other_truth(store, [record for record, _ in given_records]):
+        raise ResultError(f"{why}: the two cannot be compared; render the split again and evaluate on it")
     for record, _ in given_records:
         if ranked := ranked_instead(store, record):
             raise ResultError(

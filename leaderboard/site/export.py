@@ -16,6 +16,7 @@ from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.core.permissions import umask
 from oysterbench.hub.canonical import canonical
 from oysterbench_leaderboard.boards.board import STATES, BoardInfo, Query
+from oysterbench_leaderboard.publishing.truths import Stated, by_trust, contradicting
 from oysterbench_leaderboard.site import render
 from oysterbench_leaderboard.site.datasets import all_data_sets
 from oysterbench_leaderboard.site.links import FileLinks, file_of, numbered, pair_path
@@ -56,7 +57,8 @@ def export(
 
     The folder is swapped once everything is written: a host that serves it never shows half a site. Unchanged files are
     kept with their timestamps, so that copying the site elsewhere transfers only what is new. Damaged records and
-    curves are reported, and the site is written without them. Raises ResultError where the folder holds something else.
+    curves are reported, and the site is written without them, and so are comparisons of records that were scored
+    against several ground truths. Raises ResultError where the folder holds something else.
     """
     target = Path(folder).resolve()
     if target.exists() and (not target.is_dir() or (any(target.iterdir()) and not (target / MARK).is_file())):
@@ -83,7 +85,7 @@ def files(
 ) -> Iterator[tuple[str, bytes]]:
     """Yield names and bytes of all files; the same records give the same files."""
     digests, curves = _whole(site, report)
-    work = list(_work(site, digests))
+    work = list(_work(site, digests, report))
     there = {one.path for one in work} | {"/openapi"}
     there |= {f"{record_path(digest)}/record" for digest in digests}
     there |= {f"{record_path(digest)}/curves" for digest in curves}
@@ -120,8 +122,9 @@ def _whole(site: Site, report: Report) -> tuple[list[str], dict[str, str]]:
     return digests, curves
 
 
-def _work(site: Site, digests: Collection[str]) -> Iterator[Work]:
-    """Pages to be written. digests: of the records that have one, and are compared"""
+def _work(site: Site, digests: Collection[str], report: Report) -> Iterator[Work]:
+    """Pages to be written. digests: of the records that have one, and are compared; those that cannot be are
+    reported"""
     makers, whole = {route.path: route.make for route in ROUTES}, set(digests)
 
     def work(path: str, route: str, asked: object = (), **given: str) -> Work:
@@ -144,7 +147,10 @@ def _work(site: Site, digests: Collection[str]) -> Iterator[Work]:
             yield work(path, "/boards/{track}/{split}/{board}", query, **given, board=info.id)
         if info.newest:
             first = [row.digest for row in site.index.page(info.id, Query(size=PAIRED)).rows if row.digest in whole]
-            pairs |= set(permutations(first, 2))
+            odd = contradicting(by_trust(Stated.of(digest, site.record(digest)) for digest in first))
+            for digest, why in odd.items():
+                report(digest, f"its comparisons: {why}")
+            pairs |= set(permutations([digest for digest in first if digest not in odd], 2))
     for digest in digests:
         yield work(record_path(digest), "/records/{digest}", digest=digest)
     for method in sorted({method for method, _, _ in site.index.methods()}):

@@ -90,6 +90,9 @@ class Record:
         places = [(result.sequence, result.run) for result in self.results]
         if len(set(places)) < len(places):
             raise ResultError(f"record of {self.method}: expected each run of a sequence once, got one of them twice")
+        truths = {(result.sequence, result.truth_digest) for result in self.results if result.truth_digest}
+        if len({sequence for sequence, _ in truths}) < len(truths):
+            raise ResultError(f"record of {self.method}: expected one ground truth of a sequence, got several")
 
     @property
     def track(self) -> str:

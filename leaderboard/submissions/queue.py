@@ -20,6 +20,7 @@ from oysterbench.core.cluster import AHEAD, connect, find_withdrawn
 from oysterbench.core.errors import OysterbenchError
 from oysterbench.core.names import listed
 from oysterbench.version import VERSION
+from oysterbench_leaderboard.publishing.truths import other_truth
 from oysterbench_leaderboard.submissions.database import Submission, change, find, log_event, submissions
 from oysterbench_leaderboard.submissions.estimates import Estimates
 from oysterbench_leaderboard.submissions.reading.refusals import FAILED
@@ -163,6 +164,8 @@ def outcome_of(service: Service, mine: Submission, ended: Ended) -> dict[str, st
             of.setdefault(failure, []).append(sequence)
         why = "; ".join(f"{listed(sequences)}: {failure}" for failure, sequences in list(of.items())[:3])
         return {"state": "failed", "reason": FAILED["none"] + why}
+    if reported and (odd := other_truth(service.store, [record])):
+        return {"state": "failed", "reason": odd}
     return {"state": "done", "record": service.scored.add(record)}
 
 

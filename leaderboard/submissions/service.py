@@ -20,6 +20,7 @@ from oysterbench.hub.addresses import network
 from oysterbench.hub.canonical import parse
 from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.publishing.publish import ranked_instead
+from oysterbench_leaderboard.publishing.truths import other_truth
 from oysterbench_leaderboard.storage.record import Record
 from oysterbench_leaderboard.storage.store import RecordStore, StatusChange, copied_curves, usable
 from oysterbench_leaderboard.submissions.accounts.rates import DAY_S, DailyReads, Sampler, hours_and_minutes
@@ -282,15 +283,16 @@ class Service:
 
     def _in_place(self, connection: Connection, found: Submission) -> Record:
         """Scored record of a submission, in place of the team's current record of the same method, if there is one.
-        Raises Refusal where it is a reported one in place of a ranked one, or the team has published the same files
-        under another name."""
+        Raises Refusal where it is a reported one in place of a ranked one, or of another ground truth than the board's,
+        or the team has published the same files under another name."""
         c, record = submissions.c, self.scored.record(found.record)
         if ranked := ranked_instead(self.store, record):
-            raise Refusal(
-                "state",
-                f"reported results do not replace your {self.store.record(ranked).tier} record {ranked[:8]} of "
-                f"{record.method}: withdraw that first, or send these under another method name",
+            theirs = (
+                f"your {self.store.record(ranked).tier} record {ranked[:8]} of {record.method}: withdraw that first"
             )
+            raise Refusal("state", f"reported results do not replace {theirs}, or send these under another method name")
+        if odd := other_truth(self.store, [record]):
+            raise Refusal("state", odd)
         same = (c.team == found.team, c.track == found.track, c.split == found.split)
         shown_now, of_method = (c.published != "", c.state == "done"), c.method.in_(spellings(found.method))
         if others := find(connection, *same, *shown_now, c.digest == found.digest, ~of_method, limit=1):

@@ -57,9 +57,14 @@ def as_read(text: str) -> str:
     return " ".join(text.split())
 
 
+def failing(file: str, why: str) -> None:
+    """Fails where a file is left out."""
+    pytest.fail(f"{file}: {why}")
+
+
 def work_of(site: Site) -> list[Work]:
     """The pages of a site none of whose files is damaged."""
-    return list(_work(site, _whole(site, lambda file, why: pytest.fail(why))[0]))
+    return list(_work(site, _whole(site, failing)[0], failing))
 
 
 def test_every_page_of_the_site_is_whole_latex(site):

@@ -161,7 +161,8 @@ def means_of(board: Board, sides: Sequence[Side]) -> dict[str, dict[str, float]]
 
 
 def whole_board(site: Site, info: BoardInfo, sides: Sequence[Side]) -> Board:
-    """Board of all sides on all its sequences: those that one was not run on, or failed on, count as in the ranking."""
+    """Board of all sides on all its sequences: those that one was not run on, or failed on, count as in the ranking.
+    Raises PageError (409) where they were not scored against one ground truth."""
     named = [standing.named(side.record, side.label) for side in sides]
     answered = {result.sequence for results in named for result in results}
     beyond, lowest = site.results_on(info.id, set(info.sequences) - answered), site.lowest_scores(info)
@@ -169,7 +170,11 @@ def whole_board(site: Site, info: BoardInfo, sides: Sequence[Side]) -> Board:
     for k, own in enumerate(named):
         others = [result for i, other in enumerate(named) if i != k for result in other]
         everyone += standing.filled(own, info.sequences, [*others, *beyond], lowest)
-    return standing.board(everyone)
+    try:
+        return standing.board(everyone)
+    except ResultError as error:
+        hints = {record_path(side.row.digest): side.label for side in sides}
+        raise PageError(f"these records may not be compared: {error}", 409, hints) from None
 
 
 def verdict(sides: Sequence[Side], whole: Comparison, metric: str) -> str:

@@ -8,6 +8,7 @@ from markupsafe import Markup
 
 from oysterbench.report.stress import stress_group
 from oysterbench_leaderboard.boards.board import BoardInfo, Row
+from oysterbench_leaderboard.publishing.truths import Stated, by_trust, contradicting
 from oysterbench_leaderboard.site import charts, standing
 from oysterbench_leaderboard.site.site import Site
 
@@ -16,11 +17,13 @@ MOST_METHODS = 8
 
 
 def stress_drawing(site: Site, info: BoardInfo, rows: Sequence[Row]) -> charts.Drawing | None:
-    """Plots for the rows of a board, without those whose records are damaged; None where the split has no single
-    disturbances, or there are no rows."""
+    """Plots for the rows of a board, without those whose records are damaged, or of another ground truth than others;
+    None where the split has no single disturbances, or there are no rows."""
     shown = [row for row in rows[:MOST_METHODS] if site.is_whole(row.digest)]
     if not shown or not site.has_disturbances(info.id, shown[0].digest):
         return None
+    odd = contradicting(by_trust(Stated.of(row.digest, site.record(row.digest)) for row in shown))
+    shown = [row for row in shown if row.digest not in odd]
     names = [row.method for row in shown]
     labels = [row.method if names.count(row.method) == 1 else f"{row.method} ({row.digest[:8]})" for row in shown]
     results = [

@@ -62,6 +62,9 @@ def read_reported(data: bytes, content: dict[str, Any], wanted: Wanted, limits: 
         raise Refusal("format", "results.json: expected results of one method with one setting, got several")
     if len({(record.sequence, record.run) for record in found}) < len(found):
         raise Refusal("format", "results.json: expected each run of a sequence once, got one of them twice")
+    truths = {(record.sequence, record.truth_digest) for record in found if record.truth_digest}
+    if len({sequence for sequence, _ in truths}) < len(truths):
+        raise Refusal("format", "results.json: expected one ground truth of a sequence, got several")
     with refusing("results.json"):
         for i, record in enumerate(found):
             where = f"results.json: results[{i}]"

@@ -1,0 +1,73 @@
+"""Ground truths that records say they were scored against: those of one board are compared, so each of its sequences
+must have one."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from oysterbench.core.errors import OysterbenchError
+from oysterbench_leaderboard.boards.ranking import withdrawn
+from oysterbench_leaderboard.storage.record import RANKED, Record
+from oysterbench_leaderboard.storage.store import RecordStore
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What a record says of its ground truths. truths: sequence -> digest, where it says one"""
+
+    digest: str
+    board: str
+    is_ranked: bool
+    created: str
+    name: str
+    truths: Mapping[str, str]
+
+    @classmethod
+    def of(cls, digest: str, record: Record) -> Stated:
+        """What a record says."""
+        truths = {result.sequence: result.truth_digest for result in record.results if result.truth_digest}
+        name = f"{digest[:8]}, {record.method} by {record.team}"
+        return cls(digest, record.board, record.tier in RANKED, record.created, name, truths)
+
+
+def by_trust(several: Iterable[Stated]) -> list[Stated]:
+    """Ranked records first, as anybody can write reported results down, and of these the oldest."""
+    return sorted(several, key=lambda one: (not one.is_ranked, one.created, one.digest))
+
+
+def contradicting(several: Iterable[Stated]) -> dict[str, str]:
+    """Digest of a record -> in what its ground truth is another than that of a record before it on the same board."""
+    known: dict[tuple[str, str], Stated] = {}
+    found = {}
+    for one in several:
+        before = {name: known.get((one.board, name), one) for name in one.truths}
+        if odd := [name for name, other in before.items() if other.truths[name] != one.truths[name]]:
+            found[one.digest] = f"{odd[0]}: scored against another ground truth than record {before[odd[0]].name}"
+            continue
+        known |= {(one.board, name): other for name, other in before.items()}
+    return found
+
+
+def other_truth(store: RecordStore, records: Sequence[Record]) -> str:
+    """Why the first of some new records is not to be on the board: its ground truth is another than that of a record
+    there, or of another new one; empty where there is none. A ranked one need only agree with ranked ones."""
+    new = [Stated.of(record.digest, record) for record in records]
+    there = by_trust(stated_in(store, {record.split_digest for record in records}))
+    if any(one.is_ranked for one in new):
+        there = [one for one in there if one.is_ranked]
+    found = contradicting([*there, *new])
+    return next((found[one.digest] for one in new if one.digest in found), "")
+
+
+def stated_in(store: RecordStore, split_digests: Collection[str] = ("",)) -> Iterator[Stated]:
+    """What the records of a store say that are of one of some recipes, by default of any. Those that are withdrawn, or
+    cannot be read, are left out."""
+    gone = withdrawn(store.read_status_changes()[0])
+    for digest in store.digests():
+        try:
+            data = b"" if digest in gone else store.data(digest)
+            if data and any(split.encode() in data for split in split_digests):  # as parsing takes longer
+                yield Stated.of(digest, store.record(digest))
+        except (OysterbenchError, ArithmeticError, ValueError, TypeError, RecursionError):  # `verify` reports it
+            continue

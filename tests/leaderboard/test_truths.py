@@ -1,0 +1,143 @@
+"""Records of one board are compared, so they must have been scored against one ground truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from oysterbench.core.errors import ResultError
+from oysterbench.results.records import write_results
+from oysterbench_leaderboard.boards.index import open_index
+from oysterbench_leaderboard.publishing.publish import publish
+from oysterbench_leaderboard.publishing.verifying import verify
+from oysterbench_leaderboard.site.export import export
+from oysterbench_leaderboard.site.server import application
+from oysterbench_leaderboard.site.site import Site
+from oysterbench_leaderboard.storage.record import Record
+from oysterbench_leaderboard.submissions.estimates import upload_of
+from oysterbench_leaderboard.submissions.reading.refusals import Refusal
+from oysterbench_leaderboard.submissions.words import Form
+from tests.helpers.records_made import record_made
+from tests.helpers.served import drain
+from tests.helpers.serving import done
+from tests.helpers.site_made import Client
+
+ODD = "val-01: scored against another ground truth than record {}, carp by reef lab"
+
+
+def against(record: Record, digest: str = "0" * 64) -> Record:
+    """The record as if it had been scored against another ground truth."""
+    return replace(record, results=tuple(replace(result, truth_digest=digest) for result in record.results))
+
+
+FORGED = against(record_made("forged", "somebody", 0.9, tier="reported", created="2020-01-01T00:00:00Z"))
+
+
+def test_a_record_has_one_ground_truth_of_each_sequence():
+    first, *others = record_made("carp", runs=2).results
+    with pytest.raises(ResultError, match="expected one ground truth of a sequence, got several"):
+        replace(record_made("carp"), results=[replace(first, truth_digest="0" * 64), *others])
+
+
+def test_what_is_added_has_the_ground_truth_of_the_board(store):
+    carp = record_made("carp", tier="baseline")
+    publish(store, [(carp, None)])
+    with pytest.raises(ResultError, match=ODD.format(carp.digest[:8])):
+        publish(store, [(FORGED, None)])
+    with pytest.raises(ResultError, match="val-01: scored against another ground truth"):
+        publish(store, [(record_made("cod"), None), (against(record_made("eel")), None)])
+    assert store.digests() == [carp.digest]
+    publish(store, [(against(record_made("cod"), ""), None)])  # says nothing of it
+    store.change_status(carp.digest, "withdrawn", "a mistake")
+    publish(store, [(FORGED, None)])
+
+
+def test_what_anybody_wrote_down_keeps_no_ranked_record_off_the_board(store):
+    publish(store, [(FORGED, None)])
+    with pytest.raises(ResultError, match="val-01: scored against another ground truth than record"):
+        publish(store, [(record_made("cod", tier="reported"), None)])
+    publish(store, [(record_made("carp"), None)])
+
+
+def test_verify_names_the_record_of_another_ground_truth_until_it_is_withdrawn(store):
+    carp, forged = store.add(record_made("carp")), store.add(FORGED)
+    store.add(against(record_made("carp", evaluator="slam 2")))  # on another board
+    why = ODD.format(carp[:8])
+    assert verify(store).problems == {f"records/{forged}.json": f"{why}: withdraw the one that is wrong"}
+    store.change_status(forged, "withdrawn", "invented")
+    assert verify(store).problems == {}
+
+
+@pytest.fixture
+def site(store, tmp_path):
+    """Three records, one of them forged."""
+    for record in (record_made("carp"), record_made("cod", skill=0.5), FORGED):
+        results = [replace(one, conditions={"disturbance": "silt", "strength": 1}) for one in record.results]
+        calm = replace(results[0], conditions={"disturbance": "none", "strength": 0})
+        store.add(replace(record, results=[calm, *results[1:]]))
+    return Site(open_index(store, str(tmp_path / "index.sqlite")))
+
+
+def test_comparisons_with_it_are_refused_in_one_line(site):
+    client = Client(application(site, fresh_s=0.0))
+    answers = [client.get(f"/compare.json?{asked}") for asked in ("a=forged&b=carp", "r=carp&r=cod&r=forged")]
+    assert client.get("/compare.json?a=carp&b=cod").status == 200
+    board = client.get("/boards/slam/slam-val")
+    client.close()
+    for answer in answers:
+        assert answer.status == 409
+        assert answer.json()["error"].startswith(
+            "these records may not be compared: sequence 'val-01' was scored against 2 different truths"
+        )
+    assert board.status == 200
+    assert 'data-label="carp"' in board.text
+    assert 'data-label="forged"' not in board.text
+
+
+def test_the_files_of_the_site_are_written_without_its_comparisons(site, tmp_path):
+    said: list[tuple[str, str]] = []
+    export(site, tmp_path / "site", report=lambda *of: said.append(of))
+    ((digest, why),) = said
+    assert site.record(digest).method == "forged"
+    assert why.startswith("its comparisons: val-01: scored against another ground truth than record")
+    pairs = {path.parent.name for path in (tmp_path / "site" / "compare").glob("*/index.html")}
+    assert len(pairs) == 2
+    assert not any(digest[:16] in name for name in pairs)
+    assert (tmp_path / "site" / "records" / digest / "index.html").is_file()
+
+
+# Submissions to a split that is not rendered on the server:
+
+
+@pytest.fixture
+def results(service, tmp_path):
+    """Results of an honest team, by the server that has the ground truth; afterwards, it has none."""
+    id = done(service, tmp_path, split="pool-val")
+    found = service.record(service.get("reef lab", id)).results
+    splits = service.catalogue.splits
+    splits["pool-val"] = replace(splits["pool-val"], truth={})
+    return [replace(result, created="2025-01-01T00:00:00Z") for result in found]
+
+
+def reported(service, team: str, results) -> str:
+    """Name of a submission of results, scored."""
+    file = service.incoming / "results.json"
+    write_results(file, results)
+    made, _ = service.submit(team, Form("pike", "pool-val"), upload_of(file))
+    drain(service)
+    return made.id
+
+
+def test_the_first_ground_truth_that_is_reported_is_kept_and_another_refused(service, results):
+    invented = [replace(result, truth_digest="0" * 64) for result in results]
+    with pytest.raises(Refusal, match="expected one ground truth of a sequence, got several"):
+        reported(service, "others", [results[0], replace(invented[0], run=1)])
+    early = reported(service, "others", invented)
+    published = service.publish("reef lab", reported(service, "reef lab", results)).published
+    odd = f"pool-01: scored against another ground truth than record {published[:8]}, pike by reef lab"
+    with pytest.raises(Refusal, match=odd):
+        service.publish("others", early)
+    late = service.get("others", reported(service, "others", [replace(one, seed=5) for one in invented]))
+    assert (late.state, late.reason) == ("failed", odd)
+    assert service.store.digests() == [published]
