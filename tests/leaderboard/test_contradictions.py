@@ -70,6 +70,7 @@ HIDDEN: list[tuple[Forge, str]] = [
     (metric(score=0.8123456), "run 1 on val-01: key 'metrics': expected only what is published of a hidden split"),
     (metric(ate_rmse_m=3.1), "run 1 on val-01: key 'metrics': expected only what is published of a hidden split"),
     (first(notes=["see /home/me/x/y for more"]), "run 1 on val-01: key 'notes': expected only what is published"),
+    (first(truth_digest="ab" * 32), "run 1 on val-01: key 'truth_digest': expected only what is published"),
     (first(info={"errors": [0.1234]}), "run 1 on val-01: key 'info': expected only what is published"),
     (lambda values: values.update(curves="CURVES"), "expected no curves, as its split is hidden"),
 ]

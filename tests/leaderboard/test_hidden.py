@@ -87,6 +87,7 @@ def test_of_a_hidden_split_few_numbers_are_told_and_in_steps(told, track):
             else:
                 assert value == pytest.approx(STEP * round(value / STEP), abs=1e-9)
         check_plausible(result)
+        assert result.truth_digest == ""
     assert scored.curves is None
     assert set(scored.data_set) == {"method", "metrics", "means"}
     assert set(scored.data_set["metrics"]) <= {TRACKS[track].ranking}
