@@ -287,20 +287,17 @@ class Service:
         or the team has published the same files under another name."""
         c, record = submissions.c, self.scored.record(found.record)
         if ranked := ranked_instead(self.store, record):
-            theirs = (
-                f"your {self.store.record(ranked).tier} record {ranked[:8]} of {record.method}: withdraw that first"
-            )
-            raise Refusal("state", f"reported results do not replace {theirs}, or send these under another method name")
+            theirs = f"your {self.store.record(ranked).tier} record {ranked[:8]} of {record.method}"
+            do = "withdraw that first, or send these under another method name"
+            raise Refusal("state", f"reported results do not replace {theirs}: {do}")
         if odd := other_truth(self.store, [record]):
             raise Refusal("state", odd)
         same = (c.team == found.team, c.track == found.track, c.split == found.split)
         shown_now, of_method = (c.published != "", c.state == "done"), c.method.in_(spellings(found.method))
         if others := find(connection, *same, *shown_now, c.digest == found.digest, ~of_method, limit=1):
-            raise Refusal(
-                "state",
-                f"these files are on the board already, as your method {others[0].method}: one result has one name; to "
-                f"change it, withdraw submission {others[0].id} first",
-            )
+            there = f"these files are on the board already, as your method {others[0].method}"
+            do = f"one result has one name; to change it, withdraw submission {others[0].id} first"
+            raise Refusal("state", f"{there}: {do}")
         before = find(connection, *same, *shown_now, of_method)
         kept = (usable((self.scored, self.store), other.published) for other in before)
         shown = [*filter(None, kept), *self._rescored(before)]
