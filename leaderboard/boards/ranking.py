@@ -7,7 +7,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from string import digits
 from typing import Any
 
@@ -43,6 +43,11 @@ class Claim:
     tier: str
     created: str
     supersedes: str
+
+    @classmethod
+    def of(cls, digest: str, record: Record) -> Claim:
+        """The claim of a record."""
+        return cls(digest, *(getattr(record, each.name) for each in fields(cls)[1:]))
 
 
 @dataclass(frozen=True)

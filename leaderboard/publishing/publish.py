@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +33,6 @@ was fitted in the estimated frame, which a file of body poses no longer tells.""
 
 Notify = Callable[[str], None]
 """Called with a sentence for the user."""
-
-CLAIMED = [each.name for each in fields(Claim)][1:]
-"""Fields of a record that decide whether it is current."""
 
 Drawn = tuple[Record, dict[str, Any] | None]
 """A record, and the curves to be drawn on its page, if any."""
@@ -146,7 +143,7 @@ def ranked_instead(store: RecordStore, record: Record) -> str:
     if record.tier in RANKED:
         return ""
     earlier = store.records_by(record.team, record.method)
-    claims = [Claim(digest, *(getattr(one, key) for key in CLAIMED)) for digest, one in earlier]
+    claims = [Claim.of(digest, one) for digest, one in earlier]
     state = states(claims, withdrawn(store.read_status_changes()[0]))
     current = (digest for digest, one in earlier if one.board == record.board and one.tier in RANKED)
     return next((digest for digest in current if state[digest] == "current"), "")

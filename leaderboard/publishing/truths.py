@@ -3,32 +3,36 @@ must have one."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from oysterbench.core.errors import OysterbenchError
-from oysterbench_leaderboard.boards.ranking import withdrawn
+from oysterbench.core.text import composed
+from oysterbench_leaderboard.boards.ranking import Claim, states, withdrawn
 from oysterbench_leaderboard.storage.record import RANKED, Record
 from oysterbench_leaderboard.storage.store import RecordStore
 
 
 @dataclass(frozen=True)
 class Stated:
-    """What a record says of its ground truths. truths: sequence -> digest, where it says one"""
+    """What a record says of its ground truths. owner: its method and team, which have one current record on a board;
+    truths: sequence -> digest, where it says one"""
 
     digest: str
     board: str
     is_ranked: bool
     created: str
     name: str
+    owner: tuple[str, str]
     truths: Mapping[str, str]
 
     @classmethod
     def of(cls, digest: str, record: Record) -> Stated:
         """What a record says."""
         truths = {result.sequence: result.truth_digest for result in record.results if result.truth_digest}
+        owner = composed(record.method), composed(record.team)
         name = f"{digest[:8]}, {record.method} by {record.team}"
-        return cls(digest, record.board, record.tier in RANKED, record.created, name, truths)
+        return cls(digest, record.board, record.tier in RANKED, record.created, name, owner, truths)
 
 
 def by_trust(several: Iterable[Stated]) -> list[Stated]:
@@ -53,21 +57,28 @@ def other_truth(store: RecordStore, records: Sequence[Record]) -> str:
     """Why the first of some new records is not to be on the board: its ground truth is another than that of a record
     there, or of another new one; empty where there is none. A ranked one need only agree with ranked ones."""
     new = [Stated.of(record.digest, record) for record in records]
+    replaced = {(one.board, one.owner) for one in new}
     there = by_trust(stated_in(store, {record.split_digest for record in records}))
+    there = [one for one in there if (one.board, one.owner) not in replaced]
     if any(one.is_ranked for one in new):
         there = [one for one in there if one.is_ranked]
     found = contradicting([*there, *new])
     return next((found[one.digest] for one in new if one.digest in found), "")
 
 
-def stated_in(store: RecordStore, split_digests: Collection[str] = ("",)) -> Iterator[Stated]:
-    """What the records of a store say that are of one of some recipes, by default of any. Those that are withdrawn, or
-    cannot be read, are left out."""
+def stated_in(store: RecordStore, split_digests: Collection[str] = ("",)) -> list[Stated]:
+    """What the current records of a store say that are of one of some recipes, by default of any. Those that cannot be
+    read are left out."""
     gone = withdrawn(store.read_status_changes()[0])
+    claims, found = [], []
     for digest in store.digests():
         try:
             data = b"" if digest in gone else store.data(digest)
             if data and any(split.encode() in data for split in split_digests):  # as parsing takes longer
-                yield Stated.of(digest, store.record(digest))
+                record = store.record(digest)
+                claims.append(Claim.of(digest, record))
+                found.append(Stated.of(digest, record))
         except (OysterbenchError, ArithmeticError, ValueError, TypeError, RecursionError):  # `verify` reports it
             continue
+    state = states(claims, gone)
+    return [one for one in found if state[one.digest] == "current"]

@@ -20,6 +20,8 @@ def undistort(pixels: Array, matrix: Array, distortion: Array, equidistant: bool
     points = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
     if equidistant:
         found = cv2.fisheye.undistortPoints(points, matrix, distortion[:4])
+    elif hasattr(cv2, "undistortPointsIter"):  # OpenCV 4
+        found = cv2.undistortPointsIter(points, matrix, distortion, np.eye(3), np.eye(3), CONVERGED)
     else:
         found = cv2.undistortPoints(points, matrix, distortion, criteria=CONVERGED)
     return np.asarray(found, dtype=float).reshape(-1, 2)

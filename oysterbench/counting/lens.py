@@ -22,6 +22,8 @@ EXPECTED = (
 )
 UNDONE_PX = 0.5
 """Maximum error of a pixel after undistortion and redistortion, px; if it is greater, undistortion failed."""
+FOLD_STEPS = 33
+"""Number of places on the way from the axis to a ray at which its distortion is examined."""
 
 
 @dataclass(frozen=True)
@@ -42,12 +44,21 @@ class Lens:
         again = self._pixels(found)
         with np.errstate(invalid="ignore"):
             missed = float(np.abs(again - points).max(initial=0.0))
-        if not missed < UNDONE_PX:  # NaN fails as well
+        if not (missed < UNDONE_PX and self._is_before_the_fold(found)):  # NaN fails as well
             raise SequenceError(
                 f"calibration: its distortion cannot be undone at the edge of an image of {self.width} x {self.height} "
                 "px: calibrate with the target in the image corners as well"
             )
         return found
+
+    def _is_before_the_fold(self, rays: Array) -> bool:
+        """Whether pixels lie further out the further out their rays (N, 2) do, all the way from the axis: beyond a
+        fold of the distortion, other rays have the same pixels."""
+        steps = np.linspace(0.0, 1.0, FOLD_STEPS)
+        pixels = self._pixels((rays[:, None] * steps[:, None]).reshape(-1, 2)).reshape(len(rays), FOLD_STEPS, 2)
+        across = pixels[:, 1:] - pixels[:, :-1]
+        outwards = pixels[:, -1:] - pixels[:, :1]
+        return bool((np.sum(across * outwards, axis=2) >= 0).all())
 
     def _pixels(self, rays: Array) -> Array:
         ahead = np.concatenate([rays, np.ones((len(rays), 1))], axis=1).reshape(-1, 1, 3)

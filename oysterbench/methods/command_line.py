@@ -187,7 +187,7 @@ class Quotes:
                 raise ValueError(
                     f"{field} is in a shell within a shell: write sh -c '... \"$1\"' sh {field} in the outer one"
                 )
-            if _first(command) == "eval":
+            if _first(command) == "eval" and any(HERE in word for word in command):
                 within = "eval"
         if not self._last or within in UNSAFE:
             raise ValueError(

@@ -186,6 +186,15 @@ def test_a_quadrat_beside_the_picture_that_touches_its_border_is_refused(corners
         QuadratScale(0.5, np.roll(np.array(corners, dtype=float), turn, axis=0)).fitted((480, 640))
 
 
+@pytest.mark.parametrize(
+    ("focal", "k1", "k2"), [(484.0, -0.404, 0.043), (484.0, -0.45, 0.05), (400.0, -0.5, 0.1), (300.0, -0.35, 0.05)]
+)
+def test_a_lens_that_folds_within_the_image_is_refused(focal, k1, k2):
+    matrix = np.array([[focal, 0, 319.5], [0, focal, 239.5], [0, 0, 1]])
+    with pytest.raises(SequenceError, match="cannot be undone"):
+        Lens(640, 480, matrix, np.array([k1, k2, 0, 0])).rays(border(SHAPE))
+
+
 def test_a_wide_lens_is_undone_at_its_border():
     lens = Lens(640, 480, np.array([[320.0, 0, 319.5], [0, 320.0, 239.5], [0, 0, 1]]), np.array([-0.3, 0.12, 0, 0]))
     points, still = border(SHAPE), np.zeros(3)

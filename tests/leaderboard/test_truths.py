@@ -40,6 +40,17 @@ def test_a_record_has_one_ground_truth_of_each_sequence():
         replace(record_made("carp"), results=[replace(first, truth_digest="0" * 64), *others])
 
 
+@pytest.mark.parametrize("tier", ["reported", "baseline"])
+def test_a_method_may_be_made_again_on_another_ground_truth_and_what_it_replaces_counts_no_more(tier, store):
+    wrong = against(record_made("carp", tier=tier, created="2026-11-02T00:00:00Z"))
+    publish(store, [(wrong, None)])
+    publish(store, [(record_made("carp", "reef lab", 0.7, tier=tier, created="2026-11-03T00:00:00Z"), None)])
+    publish(store, [(record_made("cod", "reef lab", 0.6, tier=tier, created="2026-11-04T00:00:00Z"), None)])
+    assert not [text for text in verify(store).problems.values() if "ground truth" in text]
+    with pytest.raises(ResultError, match="another ground truth"):
+        publish(store, [(against(record_made("eel", tier=tier)), None)])
+
+
 def test_what_is_added_has_the_ground_truth_of_the_board(store):
     carp = record_made("carp", tier="baseline")
     publish(store, [(carp, None)])

@@ -53,7 +53,18 @@ def test_only_the_truth_knows_the_port_and_its_residual_grows_with_it():
     assert rms[0] < rms[1] < rms[2] < 1.0
 
 
-@pytest.mark.parametrize("changes", [{}, {"port_mm": 2.0}, {"port_mm": 30.0}, {"hfov_deg": 80.0}, LENS])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"port_mm": 2.0},
+        {"port_mm": 30.0},
+        {"hfov_deg": 80.0},
+        {"hfov_deg": 96.0},
+        {"hfov_deg": 90.0, "port_mm": 100.0},
+        LENS,
+    ],
+)
 def test_the_centre_of_the_fitted_lens_follows_from_the_true_calibration(changes):
     camera = dataclasses.replace(PORT, **changes)
     true = KIND.read_calibration(KIND.true_calibration(camera, SITE))

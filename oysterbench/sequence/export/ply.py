@@ -113,6 +113,10 @@ def pixel_rays(camera: CameraCalibration) -> Array:
     return rays_at(camera, columns, rows)
 
 
+UNFOUND = 1e6
+"""Both slopes of a ray that OpenCV does not find."""
+
+
 def rays_at(camera: CameraCalibration, columns: Array, rows: Array) -> Array:
     """Rays (H, W, 3), as in `pixel_rays`, of the points at columns and rows (H, W) px of the image."""
     if camera.distortion_model == "equidistant":
@@ -122,7 +126,7 @@ def rays_at(camera: CameraCalibration, columns: Array, rows: Array) -> Array:
         across = (columns - camera.matrix[0, 2]) / camera.matrix[0, 0]
         down = (rows - camera.matrix[1, 2]) / camera.matrix[1, 1]
         # OpenCV takes no distorted angle beyond 90 degrees, and continues rays from behind to the front.
-        ahead = (np.hypot(across, down) < np.pi / 2) & (x * across + y * down >= 0)
+        ahead = (np.hypot(across, down) < np.pi / 2) & (x * across + y * down >= 0) & (np.hypot(x, y) < UNFOUND)
         x, y = np.where(ahead, [x, y], np.nan)
     else:
         matrix = camera.matrix

@@ -17,8 +17,8 @@ def lens_centre_m(camera: CameraCalibration) -> float:
     """z, m in the optical frame of a true calibration, of the pinhole through which its rays in water pass best;
     0 without a port.
 
-    That is the centre of the lens which a calibration in water finds: whatever the lens, its rays from one centre to
-    the points of a pixel at several distances differ least, weighted by how many px a change of direction is.
+    That is the centre of the lens which a calibration in water finds: an equidistant one (Kannala-Brandt k1 to k4) that
+    misses the pixels of points at several distances least. For a given centre, its coefficients are linear.
     """
     from scipy.optimize import minimize_scalar
 
@@ -26,20 +26,23 @@ def lens_centre_m(camera: CameraCalibration) -> float:
         return 0.0
     sizes = zip((camera.width, camera.height), GRID, strict=True)
     columns, rows = np.meshgrid(*(np.linspace(0.0, n - 1.0, k) for n, k in sizes))
-    x, y, crossing = rays_at(camera, columns, rows).transpose(2, 0, 1)
-    slope = np.maximum(np.hypot(x, y), 1e-9)
-    outwards = rays_at(camera, columns + x / slope, rows + y / slope)  # by a pixel
-    px_per_slope = 1.0 / np.maximum(np.hypot(outwards[..., 0], outwards[..., 1]) - slope, 1e-9)
+    matrix = camera.matrix
+    across, down = (columns - matrix[0, 2]) / matrix[0, 0], (rows - matrix[1, 2]) / matrix[1, 1]
+    px = matrix[0, 0] * np.hypot(across, down).ravel()
+    x, y, crossing = rays_at(camera, columns, rows).reshape(-1, 3).T
     near, far = WORKING_M
-    depths = (1 / np.linspace(1 / near, 1 / far, DISTANCES))[:, None, None]
-    off_axis = slope * (depths - crossing)
+    depths = (1 / np.linspace(1 / near, 1 / far, DISTANCES))[:, None]
+    off_axis = np.hypot(x, y) * (depths - crossing)
+    seen = np.isfinite(off_axis).all(axis=0)
+    wanted = np.tile(px[seen], DISTANCES)
 
-    def spread(centre: float) -> float:
-        directions = off_axis / (depths - centre) * px_per_slope
-        return float(np.nanmean(np.var(directions, axis=0)))
+    def miss(centre: float) -> float:
+        angle = np.arctan2(off_axis[:, seen], depths - centre).ravel()
+        powers = angle[:, None] ** np.arange(1, 10, 2)
+        return float(np.mean(np.square(powers @ np.linalg.lstsq(powers, wanted)[0] - wanted)))
 
     return float(
-        minimize_scalar(spread, bounds=(-5.0 * camera.port_m, 0.0), method="bounded", options={"xatol": 1e-7}).x
+        minimize_scalar(miss, bounds=(-10.0 * camera.port_m, 0.0), method="bounded", options={"xatol": 1e-7}).x
     )
 
 
