@@ -56,6 +56,10 @@ class Mirror:
         refusal = self.refused.get(path)
         return self.failure or (None if refusal is None else str(refusal))
 
+    def lacks(self, path: str) -> bool:
+        """Whether this mirror is not asked for a file because it does not have it."""
+        return self.failure is None and isinstance(self.refused.get(path), Absence)
+
 
 def no_mirror_left(what: str, path: str, mirrors: Iterable[Mirror]) -> HubError:
     """Error to raise where no mirror can give a file; a SilentError only where none ever answered, to the index."""
@@ -153,7 +157,7 @@ class Transfer:
             total, there = len(self.entry.pieces), len(self.entry.pieces) - len(self._missing)
             error = no_mirror_left(self.entry.name, self.path, self._mirrors)
             then = f"{there} of {total} pieces are kept, and the same command resumes from there"
-            if not there and all(isinstance(one.refused.get(self.path), Absence) for one in self._mirrors):
+            if not there and all(one.lacks(self.path) for one in self._mirrors):
                 then = (
                     "does the hub have it? `oysterbench splits --hub` and `oysterbench models --hub` list what it has"
                 )

@@ -12,8 +12,8 @@ import pytest
 
 from oysterbench.core.errors import HubError, IntegrityError, NetworkError
 from oysterbench.hub.part import Part
-from oysterbench.hub.sources import retry_after_s
-from oysterbench.hub.transfer import pause_s
+from oysterbench.hub.sources import Absence, open_source, retry_after_s
+from oysterbench.hub.transfer import Mirror, pause_s
 from tests.helpers.blobs import CALM, IMPATIENT, beginnings, blob, fetch
 from tests.helpers.web import KINDS, Honest, misbehaving, serving
 
@@ -114,6 +114,16 @@ def test_a_cut_connection_goes_on_within_the_piece(tmp_path):
         fetch(ENTRY, tmp_path / "file", [site.url], connections=1)
     assert any(start % ENTRY.piece_size for _, start, _ in site.requests)
     assert (tmp_path / "file").read_bytes() == DATA
+
+
+def test_a_mirror_that_failed_for_another_reason_does_not_lack_the_file():
+    mirror = Mirror(open_source("http://127.0.0.1:9", 1, CALM))
+    assert not mirror.lacks(PATH)
+    mirror.refused[PATH] = Absence("status 404")
+    assert mirror.lacks(PATH)
+    mirror.fail("no answer, 4 times in a row")  # to another connection, at the same time
+    assert not mirror.lacks(PATH)
+    assert mirror.why_not(PATH) == "no answer, 4 times in a row"
 
 
 def test_mirrors_stand_in_for_one_another(tmp_path):
