@@ -111,7 +111,7 @@ def open_pool(url: str, connections: int, patience: Patience) -> urllib3.PoolMan
             ) from None
     else:
         manager = urllib3.PoolManager(maxsize=connections, retries=retries, timeout=timeout)
-    response = partial(_Response, patience)
+    response = staticmethod(partial(_Response, patience))  # as methods are, from Python 3.14 on, without
     plain = type("Plain", (HTTPConnection,), {"response_class": response})
     secure = type("Secure", (HTTPSConnection,), {"response_class": response})
     manager.pool_classes_by_scheme = {

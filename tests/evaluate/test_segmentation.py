@@ -303,7 +303,7 @@ def test_bytes_that_no_bool_has_count_as_true_and_nothing_else(tmp_path):
     assert kept.view(np.uint8).max() == 3
     for mask in (forged, kept, kept.T.copy().T):
         assert scored((LEFT, mask)).tally == scored((LEFT, ~LEFT)).tally
-        assert from_mask(mask) == from_mask(~LEFT)
+        assert repr(from_mask(mask)) == repr(from_mask(~LEFT))  # not equal from Python 3.13 on, as NaNs differ
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,8 @@ def test_the_same_values_give_the_same_interval_in_any_order_of_sequences():
     forwards = {name: [float(i), i + 0.1] for i, name in enumerate("abcdefgh")}
     backwards = dict(reversed(forwards.items()))
     assert summarise(forwards) == summarise(backwards)
-    assert compare(forwards, sample(range(8)), "lower") == compare(backwards, sample(range(8)), "lower")
+    compared = [compare(values, sample(range(8)), "lower") for values in (forwards, backwards)]
+    assert repr(compared[0]) == repr(compared[1])  # not equal from Python 3.13 on, as NaNs differ
 
 
 def test_every_sequence_has_one_vote():

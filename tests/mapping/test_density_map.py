@@ -271,7 +271,7 @@ def test_masks_from_files_give_the_map_of_the_same_masks(once, found, tmp_path):
     assert read.total.count == found.total.count
     assert read.total.unknown == read.total.count
     guessed = map_of(once, seen=lambda: read_seen(tmp_path, once, "cam", "auto", 0.5))
-    assert guessed.total == read.total
+    assert repr(guessed.total) == repr(read.total)  # not equal from Python 3.13 on, as NaNs differ
     # Of which none is known to be alive, none is called so.
     page = map_page(read, "")
     assert not any(words in page for words in ("Live per m", "Live oysters", "15 live per"))
