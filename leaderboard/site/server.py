@@ -47,6 +47,9 @@ MAKERS = 4
 """Number of pages and files made at once, each for another client; others wait instead of competing for the
 processor."""
 
+MOST_SETTLED = 1000
+"""Number of queries of which it is remembered what they come to."""
+
 SECURITY = {
     b"content-security-policy": (
         b"default-src 'none'; style-src 'self'; script-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -78,6 +81,7 @@ class Pages:
         self._revision, self._asked = "", -float("inf")
         self._asking: asyncio.Task[str] | None = None
         self._making: dict[Hashable, asyncio.Task[Kept]] = {}
+        self._settled: dict[Hashable, Hashable] = {}
         self._makers: anyio.CapacityLimiter | None = None
         self._turns: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
@@ -96,12 +100,21 @@ class Pages:
 
     async def get(self, client: str, route: Route, given: dict[str, str], query: Any, suffix: str) -> Kept:
         """Return a page, or its representation."""
-        asked, settle = query, route.settle
-        if settle is not None:
-            async with self._turn(client):
-                asked = await self._in_thread(lambda: settle(self.site, query))
+        asked = query if route.settle is None else await self._settle(client, route.path, route.settle, query)
         key = (route.path, tuple(sorted(given.items())), asked, suffix)
         return await self.made(client, key, lambda: self.make(route, given, asked, suffix))
+
+    async def _settle(self, client: str, path: str, settle: Callable[[Site, Any], Hashable], query: Any) -> Hashable:
+        """Return what a query comes to: remembered, as a page that is kept must not wait for one in the making."""
+        spelled = (await self.revision(), path, query)
+        if spelled not in self._settled:
+            async with self._turn(client):
+                found = await self._in_thread(lambda: settle(self.site, query))
+            if len(self._settled) >= MOST_SETTLED:
+                self._settled.clear()
+            self._settled[spelled] = found
+            return found
+        return self._settled[spelled]
 
     async def made(self, client: str, key: Hashable, make: Callable[[], Kept]) -> Kept:
         """Return what `make` returns, called in a thread unless it is kept. Concurrent requests wait for one call, and

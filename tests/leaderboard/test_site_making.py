@@ -79,3 +79,28 @@ def test_however_many_pages_a_client_asks_for_the_next_is_made_for_another(made)
         assert sorted(map(str, begun)) == sorted(map(str, names))
 
     asyncio.run(asked())
+
+
+def test_a_comparison_that_is_kept_does_not_wait_for_a_page_in_the_making(made):
+    pages, begun, ended = Pages(made[0], fresh_s=60.0), threading.Event(), threading.Event()
+    (compare,) = (route for route in routes.ROUTES if route.path == "/compare")
+    query = compare.ask({"a": [made[1]["cod"][:9]], "b": ["carp"]})
+
+    def make() -> Kept:
+        begun.set()
+        ended.wait(PATIENCE_S)
+        return Kept.of(b"slow", "text/plain")
+
+    async def asked():
+        first = await pages.get("one", compare, {}, query, ".json")
+        slow = asyncio.create_task(pages.made("one", "slow", make))
+        while not begun.is_set():
+            await asyncio.sleep(0.001)
+        again = await asyncio.wait_for(pages.get("one", compare, {}, query, ".json"), PATIENCE_S / 2)
+        assert not slow.done()
+        ended.set()
+        await slow
+        return first, again
+
+    first, again = asyncio.run(asked())
+    assert first is again
