@@ -111,9 +111,14 @@ def publish(store: RecordStore, records: Iterable[Drawn]) -> list[tuple[Record, 
     """Store records, each superseding the current one of its method, team and board; return them with their digests,
     and whether they are new: identical results are stored once. Raises ResultError, and stores nothing, where a
     reported record would supersede a ranked one, or the ground truth of one is not that of the board."""
-    done, given_records = [], list(records)
+    with store.publishing():
+        return _publish(store, list(records))
+
+
+def _publish(store: RecordStore, given_records: Sequence[Drawn]) -> list[tuple[Record, str, bool]]:
+    done = []
     if why := other_truth(store, [record for record, _ in given_records]):
-        raise ResultError(f"{why}: the two cannot be compared; render the split again and evaluate on it")
+        raise ResultError(why)
     for record, _ in given_records:
         if ranked := ranked_instead(store, record):
             raise ResultError(

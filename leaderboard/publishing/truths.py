@@ -4,6 +4,7 @@ must have one."""
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from oysterbench.core.errors import OysterbenchError
@@ -11,6 +12,11 @@ from oysterbench.core.text import composed
 from oysterbench_leaderboard.boards.ranking import Claim, states, withdrawn
 from oysterbench_leaderboard.storage.record import RANKED, Record
 from oysterbench_leaderboard.storage.store import RecordStore
+
+DAMAGED = (OysterbenchError, ArithmeticError, ValueError, TypeError, RecursionError)
+"""What reading a damaged record raises, which `verify` reports."""
+
+DO = "render the split again and evaluate on it; or, if it is that record that is wrong, have it withdrawn"
 
 
 @dataclass(frozen=True)
@@ -35,9 +41,19 @@ class Stated:
         return cls(digest, record.board, record.tier in RANKED, record.created, name, owner, truths)
 
 
-def by_trust(several: Iterable[Stated]) -> list[Stated]:
-    """Ranked records first, as anybody can write reported results down, and of these the oldest."""
-    return sorted(several, key=lambda one: (not one.is_ranked, one.created, one.digest))
+def by_trust(several: Iterable[Stated], revived: Collection[str]) -> list[Stated]:
+    """Ranked records first, as anybody can write reported results down, and of these the oldest. Those in `revived`
+    come last: while there were others in their place, the board agreed on a ground truth without them."""
+    return sorted(several, key=lambda one: (not one.is_ranked, one.digest in revived, one.created, one.digest))
+
+
+def revived_in(store: RecordStore) -> set[str]:
+    """Digests of records in whose place there was one that is withdrawn now."""
+    found = set()
+    for digest in withdrawn(store.read_status_changes()[0]):
+        with suppress(*DAMAGED):
+            found.add(store.record(digest).supersedes)
+    return found
 
 
 def contradicting(several: Iterable[Stated]) -> dict[str, str]:
@@ -55,15 +71,16 @@ def contradicting(several: Iterable[Stated]) -> dict[str, str]:
 
 def other_truth(store: RecordStore, records: Sequence[Record]) -> str:
     """Why the first of some new records is not to be on the board: its ground truth is another than that of a record
-    there, or of another new one; empty where there is none. A ranked one need only agree with ranked ones."""
+    there, or of another new one; and what to do. Empty where there is none. A ranked one need only agree with ranked
+    ones."""
     new = [Stated.of(record.digest, record) for record in records]
     replaced = {(one.board, one.owner) for one in new}
-    there = by_trust(stated_in(store, {record.split_digest for record in records}))
+    there = by_trust(stated_in(store, {record.split_digest for record in records}), revived_in(store))
     there = [one for one in there if (one.board, one.owner) not in replaced]
     if any(one.is_ranked for one in new):
         there = [one for one in there if one.is_ranked]
     found = contradicting([*there, *new])
-    return next((found[one.digest] for one in new if one.digest in found), "")
+    return next((f"{found[one.digest]}: {DO}" for one in new if one.digest in found), "")
 
 
 def stated_in(store: RecordStore, split_digests: Collection[str] = ("",)) -> list[Stated]:
@@ -78,7 +95,7 @@ def stated_in(store: RecordStore, split_digests: Collection[str] = ("",)) -> lis
                 record = store.record(digest)
                 claims.append(Claim.of(digest, record))
                 found.append(Stated.of(digest, record))
-        except (OysterbenchError, ArithmeticError, ValueError, TypeError, RecursionError):  # `verify` reports it
+        except DAMAGED:
             continue
     state = states(claims, gone)
     return [one for one in found if state[one.digest] == "current"]

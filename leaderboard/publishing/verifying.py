@@ -12,7 +12,7 @@ from oysterbench.hub.canonical import canonical, decode, parse
 from oysterbench.tracks import TRACKS
 from oysterbench_leaderboard.boards.ranking import columns_of
 from oysterbench_leaderboard.publishing.contradictions import check_contradictions, check_drawn
-from oysterbench_leaderboard.publishing.truths import by_trust, contradicting, stated_in
+from oysterbench_leaderboard.publishing.truths import by_trust, contradicting, revived_in, stated_in
 from oysterbench_leaderboard.storage.curves import FORMAT as CURVES
 from oysterbench_leaderboard.storage.curves import Curve, Curves
 from oysterbench_leaderboard.storage.record import Record, check_time
@@ -37,8 +37,8 @@ class Verified:
 
 def verify(store: RecordStore) -> Verified:
     """Read every file of a store completely: each must be canonical JSON of its kind, with plausible numbers and parts
-    that do not contradict each other, the curves and records that a record names must exist, and the records of a
-    board that are not withdrawn must be of one ground truth."""
+    that do not contradict each other, the curves and records that a record names must exist, and the current
+    records of a board must be of one ground truth."""
     problems: dict[str, str] = {}
     checked = dict.fromkeys(KINDS, 0)
     known = {kind: set(store.names(kind)) for kind in KINDS}
@@ -57,7 +57,7 @@ def verify(store: RecordStore) -> Verified:
                 problems[where] = str(error)
             except (OSError, ArithmeticError, ValueError, TypeError, RecursionError) as error:
                 problems[where] = f"it cannot be read: {in_one_line(error)}"
-    for digest, why in contradicting(by_trust(stated_in(store))).items():
+    for digest, why in contradicting(by_trust(stated_in(store), revived_in(store))).items():
         problems.setdefault(f"records/{digest}.json", f"{why}: withdraw the one that is wrong")
     return Verified(checked, problems)
 

@@ -6,7 +6,7 @@ import errno
 import json
 import os
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict, dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import OysterbenchError, ResultError
+from oysterbench.core.locks import locked_if_possible
 from oysterbench.core.text import composed
 from oysterbench.hub.canonical import SHA256, canonical, parse, sha256
 from oysterbench.results.records import checked, now
@@ -55,6 +56,10 @@ class RecordStore:
     def add(self, record: Record) -> str:
         """Store a record, unless it is stored already; return its digest."""
         return self._keep("records", record.data)
+
+    def publishing(self) -> AbstractContextManager[None]:
+        """Lock between looking at what is there and adding to it, so that no other process adds anything meanwhile."""
+        return locked_if_possible(self.folder / ".publishing.lock")
 
     def add_status_change(self, change: StatusChange) -> str:
         """Store a change of a record's status; return the change's digest."""

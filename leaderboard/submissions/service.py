@@ -263,22 +263,23 @@ class Service:
     def publish(self, team: str, id: str) -> Submission:
         """Put a submission on the board, where it supersedes the team's current record of the same method; idempotent.
         Raises Refusal where its state is not "done", or the same files are there under another name."""
-        with self.database.writing() as connection:
-            lock_team(connection, team)
-            found = self._own(connection, team, id, lock=True)
-            if found.state != "done":
-                raise Refusal("state", f"only finished submissions can be published; this one is {found.state}")
-            if not found.published:
-                record = self._in_place(connection, found)
-                # On disk before the database refers to it, so that publication can be completed after a crash.
-                self.scored.add(record)
-                at = self.now()
-                change(connection, id, at, published=record.digest)
-                log_event(connection, at, team, "published", id, record.digest)
-                found = replace(found, published=record.digest, updated=at)
-        if found.published not in self.store.digests():  # also where an earlier attempt to write it failed
-            self._show(self.scored.record(found.published))
-            self.changed()
+        with self.store.publishing():  # or two teams would pass the checks side by side
+            with self.database.writing() as connection:
+                lock_team(connection, team)
+                found = self._own(connection, team, id, lock=True)
+                if found.state != "done":
+                    raise Refusal("state", f"only finished submissions can be published; this one is {found.state}")
+                if not found.published:
+                    record = self._in_place(connection, found)
+                    # On disk before the database refers to it, so that publication can be completed after a crash.
+                    self.scored.add(record)
+                    at = self.now()
+                    change(connection, id, at, published=record.digest)
+                    log_event(connection, at, team, "published", id, record.digest)
+                    found = replace(found, published=record.digest, updated=at)
+            if found.published not in self.store.digests():  # also where an earlier attempt to write it failed
+                self._show(self.scored.record(found.published))
+                self.changed()
         return found
 
     def _in_place(self, connection: Connection, found: Submission) -> Record:

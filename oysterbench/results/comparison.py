@@ -325,7 +325,8 @@ def _board(records: Sequence[ResultRecord]) -> Board:
         if len(digests - {""}) > 1:
             raise ResultError(
                 f"sequence {name!r} was scored against {len(digests - {''})} different truths: expected one sequence "
-                "per name; score again from truth files with different names, or compare fewer results"
+                "per name; compare fewer results, or score again, from truth files with different names if they are "
+                "different sequences"
             )
     by_method: dict[tuple[str, str], list[ResultRecord]] = {}
     for record in records:

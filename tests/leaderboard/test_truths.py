@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 
 import pytest
@@ -10,6 +11,7 @@ from oysterbench.core.errors import ResultError
 from oysterbench.results.records import write_results
 from oysterbench_leaderboard.boards.index import open_index
 from oysterbench_leaderboard.publishing.publish import publish
+from oysterbench_leaderboard.publishing.truths import DO
 from oysterbench_leaderboard.publishing.verifying import verify
 from oysterbench_leaderboard.site.export import export
 from oysterbench_leaderboard.site.server import application
@@ -69,6 +71,20 @@ def test_what_anybody_wrote_down_keeps_no_ranked_record_off_the_board(store):
     with pytest.raises(ResultError, match="val-01: scored against another ground truth than record"):
         publish(store, [(record_made("cod", tier="reported"), None)])
     publish(store, [(record_made("carp"), None)])
+
+
+def test_a_record_that_comes_back_counts_after_those_that_were_there_without_it(store):
+    ours, created = FORGED.method, "2020-01-02T00:00:00Z"
+    publish(store, [(FORGED, None)])
+    ((_, right, _),) = publish(store, [(record_made(ours, "somebody", 0.8, tier="reported", created=created), None)])
+    publish(store, [(record_made("cod", tier="reported"), None)])
+    store.change_status(right, "withdrawn", "by the team")
+    (problem,) = verify(store).problems.items()
+    assert problem[0] == f"records/{FORGED.digest}.json"
+    assert "cod by reef lab: withdraw the one that is wrong" in problem[1]
+    publish(store, [(record_made("carp", tier="reported"), None)])
+    with pytest.raises(ResultError, match="have it withdrawn"):
+        publish(store, [(against(record_made("eel", tier="reported")), None)])
 
 
 def test_verify_names_the_record_of_another_ground_truth_until_it_is_withdrawn(store):
@@ -146,9 +162,36 @@ def test_the_first_ground_truth_that_is_reported_is_kept_and_another_refused(ser
         reported(service, "others", [results[0], replace(invented[0], run=1)])
     early = reported(service, "others", invented)
     published = service.publish("reef lab", reported(service, "reef lab", results)).published
-    odd = f"pool-01: scored against another ground truth than record {published[:8]}, pike by reef lab"
+    odd = f"pool-01: scored against another ground truth than record {published[:8]}, pike by reef lab: {DO}"
     with pytest.raises(Refusal, match=odd):
         service.publish("others", early)
     late = service.get("others", reported(service, "others", [replace(one, seed=5) for one in invented]))
     assert (late.state, late.reason) == ("failed", odd)
     assert service.store.digests() == [published]
+
+
+def test_of_two_that_are_published_at_once_one_is_refused(service, results, monkeypatch):
+    invented = reported(service, "others", [replace(result, truth_digest="0" * 64) for result in results])
+    honest, shown, original = reported(service, "reef lab", results), threading.Event(), service._show
+    found: list[object] = []
+
+    def publish_other():
+        try:
+            found.append(service.publish("others", invented))
+        except Refusal as refusal:
+            found.append(refusal)
+
+    def show(record):
+        if not shown.is_set():
+            shown.set()
+            other.start()
+            other.join(0.3)  # as long as it takes to be there first, without the lock
+        original(record)
+
+    other = threading.Thread(target=publish_other)
+    monkeypatch.setattr(service, "_show", show)
+    service.publish("reef lab", honest)
+    other.join()
+    assert isinstance(found[0], Refusal)
+    assert DO in found[0].reason
+    assert len(service.store.digests()) == 1
