@@ -14,7 +14,7 @@ def containerfile(system: System) -> str:
     if described.renders:
         extras = f"render,{extras}"
     return f"""# {described.title} ({described.licence}), built from its own source, and oysterbench, which runs it.
-FROM debian:12
+FROM docker.io/library/debian:bookworm-slim
 # The wheel of a release, or an address that pip takes.
 ARG OYSTERBENCH="oysterbench[{extras}]=={VERSION}"
 RUN apt-get update && apt-get install --yes --no-install-recommends {packages} && rm -rf /var/lib/apt/lists/*
