@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -33,6 +33,10 @@ STAGES = (
 
 STEM, HEAD = 32, 1280
 """Channels of the first and the last convolution."""
+
+PART_BYTES = 32_000_000
+"""Size of values above which a block computes them in parts, for prediction. Larger ones the C library fetches from the
+system each time, page by page, which took an eighth of the time for an enlarged image."""
 
 
 Network = TypeVar("Network", bound=nn.Module)
@@ -71,10 +75,13 @@ class SameConvolution(nn.Conv2d):
         values: torch.Tensor,
         by: nn.BatchNorm2d | None = None,
         then: Callable[[torch.Tensor], torch.Tensor] = _unchanged,
+        channels: slice = slice(None),
     ) -> torch.Tensor:
         """Convolve (B, C, h, w). by: a batch normalisation with fixed statistics, folded into the weights and bias of
-        the convolution, which saves one pass over all values forward and one backward; then: the activation."""
+        the convolution, which saves one pass over all values forward and one backward; then: the activation; channels:
+        the outputs wanted, to which the inputs of a depthwise convolution must belong."""
         weight, bias = (self.weight, self.bias) if by is None else _normalised(self.weight, by)
+        weight, bias = weight[channels], None if bias is None else bias[channels]
         side, stride = self.kernel_size[0], self.stride[0]
         if side == 1:  # a matrix product in the present memory layout, so that nothing is copied
             rows = values.permute(0, 2, 3, 1)
@@ -82,7 +89,8 @@ class SameConvolution(nn.Conv2d):
             return found.view(*rows.shape[:3], -1).permute(0, 3, 1, 2)
         if stride == 2:  # on an even side windows start a pixel later: zeros before the weights avoid moving the values
             weight = functional.pad(weight, (1 - values.shape[-1] % 2, 0, 1 - values.shape[-2] % 2, 0))
-        return then(functional.conv2d(values, weight, bias, stride, padding=side // 2, groups=self.groups))
+        groups = 1 if self.groups == 1 else len(weight)
+        return then(functional.conv2d(values, weight, bias, stride, padding=side // 2, groups=groups))
 
 
 class Layers(nn.Sequential):
@@ -90,10 +98,15 @@ class Layers(nn.Sequential):
 
     def forward(self, values: torch.Tensor) -> torch.Tensor:
         """Apply the layers to (B, C, h, w)."""
+        for convolution, by, then in self.triples():
+            values = convolution(values, by, then)
+        return values
+
+    def triples(self) -> Iterator[tuple[nn.Module, nn.BatchNorm2d | None, nn.Module]]:
+        """Each convolution with its normalisation, unless it is folded, and its activation."""
         layers = [*self, nn.Identity()]
         for convolution, by, then in zip(layers[::3], layers[1::3], layers[2::3], strict=False):
-            values = convolution(values, by if isinstance(by, nn.BatchNorm2d) else None, then)
-        return values
+            yield convolution, by if isinstance(by, nn.BatchNorm2d) else None, then
 
     def fold(self) -> None:
         """Fold the normalisations into the convolutions for good."""
@@ -126,6 +139,7 @@ class Block(nn.Module):
         super().__init__()
         wide = inputs * expansion
         layers: list[nn.Module] = []
+        self.expansion = expansion
         if expansion != 1:
             layers += [*_convolved(inputs, wide, 1), nn.ReLU6(inplace=True)]
         layers += [*_convolved(wide, wide, side, stride, groups=wide), nn.ReLU6(inplace=True)]
@@ -134,8 +148,21 @@ class Block(nn.Module):
 
     def forward(self, values: torch.Tensor) -> torch.Tensor:
         """Apply the block to (B, C, h, w)."""
-        found: torch.Tensor = self.layers(values)
+        channel = values[:, :1].numel() * values.element_size()
+        count = max(PART_BYTES // channel // 8 * 8, 8)  # channels of a part, in eights, as processors compute them
+        fits = self.training or self.expansion == 1 or self.expansion * values.shape[1] <= count
+        found: torch.Tensor = self.layers(values) if fits else self._in_parts(values, count)
         return values + found if self.adds else found
+
+    def _in_parts(self, values: torch.Tensor, count: int) -> torch.Tensor:
+        """Apply the layers, up to the projection with `count` channels at a time, as they do not meet before it."""
+        (expand, *first), (convolve, *second), (project, *last) = self.layers.triples()
+        parts = []
+        for k in range(0, self.expansion * values.shape[1], count):
+            channels = slice(k, k + count)
+            parts.append(convolve(expand(values, *first, channels), *second, channels))
+        found: torch.Tensor = project(torch.cat(parts, dim=1), *last)
+        return found
 
 
 class EfficientNetLite(nn.Module):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -60,8 +61,8 @@ class MaskModel:
         """Convert standardised pixels (h, w, 3) to the network's input (1, 3, h, w), h and w padded to `multiple`."""
         height, width = values.shape[:2]
         step = self.multiple
-        padded = np.pad(values, ((0, -height % step), (0, -width % step), (0, 0)), mode="edge")
-        planes = torch.from_numpy(np.ascontiguousarray(padded.transpose(2, 0, 1)))[None]
+        padded = cv2.copyMakeBorder(values, 0, -height % step, 0, -width % step, cv2.BORDER_REPLICATE)
+        planes = torch.from_numpy(padded).permute(2, 0, 1)[None]
         return planes.to(device=self.device, memory_format=torch.channels_last)
 
 

@@ -135,7 +135,7 @@ def depths(instances: NDArray[np.uint16]) -> NDArray[np.uint8]:
         if box is None:
             continue
         # Pad with zeros: an oyster cut off by the image has its border there, too.
-        mask = np.pad((instances[box] == number).astype(np.uint8), 1)
+        mask = cv2.copyMakeBorder((instances[box] == number).astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
         depth = cv2.distanceTransform(mask, cv2.DIST_L2, 3)[1:-1, 1:-1]
         share = np.minimum(depth / (FLAT * depth.max()), 1.0)
         found[box] = np.maximum(found[box], np.round(255 * share).astype(np.uint8))
@@ -219,7 +219,8 @@ class LabelledDataset(Dataset[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]):
 def standardised(pixels: NDArray[np.uint8], mean: Floats, contrast: Floats) -> Floats:
     """Standardise pixels to (h, w, 3) float32, with mean 0 and standard deviation 1 over the image of the
     statistics."""
-    return (pixels.astype(np.float32) - mean) / contrast
+    table = (np.arange(256, dtype=np.float32)[:, None] - mean) / contrast
+    return np.asarray(cv2.LUT(pixels, table[None]), np.float32)
 
 
 def joined(shares: NDArray[np.uint8], towards: Floats) -> Floats:

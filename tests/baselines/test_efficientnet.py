@@ -9,7 +9,13 @@ torch = pytest.importorskip("torch")
 
 from torch.nn import functional  # noqa: E402
 
-from oysterbench_baselines.learning.efficientnet import EfficientNetLite, SameConvolution, for_prediction  # noqa: E402
+from oysterbench_baselines.learning import efficientnet  # noqa: E402
+from oysterbench_baselines.learning.efficientnet import (  # noqa: E402
+    Block,
+    EfficientNetLite,
+    SameConvolution,
+    for_prediction,
+)
 from oysterbench_baselines.unet.network import UNetworkSettings, build_network  # noqa: E402
 
 
@@ -90,6 +96,21 @@ def test_a_network_for_prediction_has_no_normalisations_and_predicts_the_same(ne
     assert for_prediction(folded) is folded, "twice changes nothing"
     with torch.inference_mode():
         assert torch.equal(folded(picture), after[-1])
+
+
+@pytest.mark.parametrize("folded", [False, True])
+def test_a_block_predicts_the_same_in_parts(network, folded, monkeypatch):
+    picture = torch.randn(1, 3, 160, 200).contiguous(memory_format=torch.channels_last)
+    network = for_prediction(network) if folded else network.eval()
+    with torch.inference_mode():
+        whole = network.features(picture)
+        monkeypatch.setattr(efficientnet, "PART_BYTES", 40 * 80 * 100 * 4)  # of the largest expansion, 96 channels
+        in_parts, counts = Block._in_parts, []
+        monkeypatch.setattr(Block, "_in_parts", lambda *of: counts.append(of[2]) or in_parts(*of))
+        parts = network.features(picture)
+    assert counts == [40]
+    for one, other in zip(whole, parts, strict=True):
+        assert torch.equal(one, other)
 
 
 def test_the_decoder_predicts_what_it_computes_in_training():
