@@ -39,6 +39,8 @@ PART_BYTES = 32_000_000
 system each time, page by page, which took an eighth of the time for an enlarged image."""
 
 
+ALL = slice(None)
+
 Network = TypeVar("Network", bound=nn.Module)
 
 
@@ -75,13 +77,14 @@ class SameConvolution(nn.Conv2d):
         values: torch.Tensor,
         by: nn.BatchNorm2d | None = None,
         then: Callable[[torch.Tensor], torch.Tensor] = _unchanged,
-        channels: slice = slice(None),
+        channels: slice = ALL,
     ) -> torch.Tensor:
         """Convolve (B, C, h, w). by: a batch normalisation with fixed statistics, folded into the weights and bias of
         the convolution, which saves one pass over all values forward and one backward; then: the activation; channels:
         the outputs wanted, to which the inputs of a depthwise convolution must belong."""
         weight, bias = (self.weight, self.bias) if by is None else _normalised(self.weight, by)
-        weight, bias = weight[channels], None if bias is None else bias[channels]
+        if channels != ALL:
+            weight, bias = weight[channels], None if bias is None else bias[channels]
         side, stride = self.kernel_size[0], self.stride[0]
         if side == 1:  # a matrix product in the present memory layout, so that nothing is copied
             rows = values.permute(0, 2, 3, 1)
@@ -149,7 +152,8 @@ class Block(nn.Module):
     def forward(self, values: torch.Tensor) -> torch.Tensor:
         """Apply the block to (B, C, h, w)."""
         channel = values[:, :1].numel() * values.element_size()
-        count = max(PART_BYTES // channel // 8 * 8, 8)  # channels of a part, in eights, as processors compute them
+        # Channels of a part: the products of 8 more, the rest of a division by 16, are rounded differently.
+        count = max(PART_BYTES // channel // 16 * 16, 16)
         fits = self.training or self.expansion == 1 or self.expansion * values.shape[1] <= count
         found: torch.Tensor = self.layers(values) if fits else self._in_parts(values, count)
         return values + found if self.adds else found

@@ -62,7 +62,7 @@ class MaskModel:
         height, width = values.shape[:2]
         step = self.multiple
         padded = cv2.copyMakeBorder(values, 0, -height % step, 0, -width % step, cv2.BORDER_REPLICATE)
-        planes = torch.from_numpy(padded).permute(2, 0, 1)[None]
+        planes = torch.from_numpy(padded)[None].permute(0, 3, 1, 2)  # channels last already
         return planes.to(device=self.device, memory_format=torch.channels_last)
 
 

@@ -99,16 +99,17 @@ def test_a_network_for_prediction_has_no_normalisations_and_predicts_the_same(ne
 
 
 @pytest.mark.parametrize("folded", [False, True])
-def test_a_block_predicts_the_same_in_parts(network, folded, monkeypatch):
+@pytest.mark.parametrize(("room", "count"), [(40, 32), (88, 80)])
+def test_a_block_predicts_the_same_in_parts(network, folded, room, count, monkeypatch):
     picture = torch.randn(1, 3, 160, 200).contiguous(memory_format=torch.channels_last)
     network = for_prediction(network) if folded else network.eval()
     with torch.inference_mode():
         whole = network.features(picture)
-        monkeypatch.setattr(efficientnet, "PART_BYTES", 40 * 80 * 100 * 4)  # of the largest expansion, 96 channels
+        monkeypatch.setattr(efficientnet, "PART_BYTES", room * 80 * 100 * 4)  # of the largest expansion, 96 channels
         in_parts, counts = Block._in_parts, []
         monkeypatch.setattr(Block, "_in_parts", lambda *of: counts.append(of[2]) or in_parts(*of))
         parts = network.features(picture)
-    assert counts == [40]
+    assert counts == [count]
     for one, other in zip(whole, parts, strict=True):
         assert torch.equal(one, other)
 
