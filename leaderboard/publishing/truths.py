@@ -41,18 +41,39 @@ class Stated:
         return cls(digest, record.board, record.tier in RANKED, record.created, name, owner, truths)
 
 
-def by_trust(several: Iterable[Stated], revived: Collection[str]) -> list[Stated]:
-    """Ranked records first, as anybody can write reported results down, and of these the oldest. Those in `revived`
-    come last: while there were others in their place, the board agreed on a ground truth without them."""
-    return sorted(several, key=lambda one: (not one.is_ranked, one.digest in revived, one.created, one.digest))
+@dataclass(frozen=True)
+class Absence:
+    """Time in which a record that is withdrawn now was in the place of earlier ones of its owner on its board, which
+    came back when it ended."""
+
+    instead: Stated
+    ended: str
+
+    def of(self, one: Stated) -> bool:
+        """Whether it was in the place of this record; a reported one never was in that of a ranked one."""
+        same = (one.board, one.owner) == (self.instead.board, self.instead.owner)
+        return same and one.created <= self.instead.created and one.is_ranked <= self.instead.is_ranked
 
 
-def revived_in(store: RecordStore) -> set[str]:
-    """Digests of records in whose place there was one that is withdrawn now."""
-    found = set()
-    for digest in withdrawn(store.read_status_changes()[0]):
+def by_trust(several: Iterable[Stated], absences: Sequence[Absence]) -> list[Stated]:
+    """Ranked records first, as anybody can write reported results down, and of these those that have been on the board
+    longest without a break: what came in meanwhile was checked without them."""
+
+    def order(one: Stated) -> tuple[bool, str, str, str]:
+        since = max([one.created, *(absence.ended for absence in absences if absence.of(one))])
+        return not one.is_ranked, since, one.created, one.digest
+
+    return sorted(several, key=order)
+
+
+def absences_in(store: RecordStore) -> list[Absence]:
+    """For each withdrawn record, how long others were absent for it."""
+    changes = store.read_status_changes()[0]
+    found = []
+    for digest in withdrawn(changes):
+        ended = max(change.created for change in changes if change.record == digest)
         with suppress(*DAMAGED):
-            found.add(store.record(digest).supersedes)
+            found.append(Absence(Stated.of(digest, store.record(digest)), ended))
     return found
 
 
@@ -75,7 +96,7 @@ def other_truth(store: RecordStore, records: Sequence[Record]) -> str:
     ones."""
     new = [Stated.of(record.digest, record) for record in records]
     replaced = {(one.board, one.owner) for one in new}
-    there = by_trust(stated_in(store, {record.split_digest for record in records}), revived_in(store))
+    there = by_trust(stated_in(store, {record.split_digest for record in records}), absences_in(store))
     there = [one for one in there if (one.board, one.owner) not in replaced]
     if any(one.is_ranked for one in new):
         there = [one for one in there if one.is_ranked]

@@ -55,7 +55,7 @@ def routes(auth: Auth) -> list[Route]:
         return await answer(await run_in_threadpool(service.get, await team(request), request.path_params["id"]))
 
     async def publish(request: Request) -> Response:
-        return await answer(await run_in_threadpool(service.publish, await team(request), request.path_params["id"]))
+        return await answer(await auth.publish(await team(request), request.path_params["id"]))
 
     async def withdraw(request: Request) -> Response:
         of = await team(request)

@@ -174,7 +174,7 @@ class WebForm:
     async def _publish(self, request: Request) -> Response:
         _, value = await self._fields(request)
         holder = await self._signed_in(request, value)
-        found = await run_in_threadpool(self.service.publish, holder.team, request.path_params["id"])
+        found = await self.auth.publish(holder.team, request.path_params["id"])
         return self._go(request, f"/submit/{found.id}", value)
 
     async def _withdraw(self, request: Request) -> Response:

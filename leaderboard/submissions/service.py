@@ -8,6 +8,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -277,9 +278,10 @@ class Service:
                     change(connection, id, at, published=record.digest)
                     log_event(connection, at, team, "published", id, record.digest)
                     found = replace(found, published=record.digest, updated=at)
-            if found.published not in self.store.digests():  # also where an earlier attempt to write it failed
+            if new := found.published not in self.store.digests():  # also where an earlier attempt to write it failed
                 self._show(self.scored.record(found.published))
-                self.changed()
+        if new:
+            self.changed()
         return found
 
     def _in_place(self, connection: Connection, found: Submission) -> Record:
@@ -369,11 +371,9 @@ class Service:
         self._announce([submission for submission in shown if submission.notice])
         oldest = time.time() - self.settings.upload_s
         for path in self.incoming.iterdir():
-            try:
+            with suppress(FileNotFoundError):
                 if path.stat().st_mtime < oldest:
                     path.unlink()
-            except FileNotFoundError:
-                pass
 
     # Scoring, for the dispatcher:
 

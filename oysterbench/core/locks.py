@@ -25,8 +25,8 @@ def locked(
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with naming(path.parent, path):
-        file = open(path, "w")  # noqa: SIM115  closed below; errors of the block are not this file's
-    with file:
+        file = _opened(path)
+    try:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -37,6 +37,16 @@ def locked(
                 before_waiting()
             fcntl.flock(file, fcntl.LOCK_EX)
         yield True
+    finally:
+        os.close(file)
+
+
+def _opened(path: Path) -> int:
+    """Descriptor of a lock file, which may be another user's: to read is enough, but not on NFS."""
+    try:
+        return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    except PermissionError:
+        return os.open(path, os.O_RDONLY | os.O_CLOEXEC)
 
 
 @contextlib.contextmanager

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
+import os
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
-from oysterbench.core.locks import scratch
+from oysterbench.core.locks import locked, scratch
 
 KILLED = """
 import os, signal
@@ -56,3 +58,22 @@ def test_a_temporary_folder_that_another_process_clears_before_it_is_locked_is_m
         assert cleared
         assert cleared != [folder]
     assert not list(tmp_path.iterdir())
+
+
+def test_the_lock_file_of_another_user_is_held_too_and_keeps_what_is_in_it(tmp_path, monkeypatch):
+    file = tmp_path / "lock"
+    file.write_text("theirs")
+    opened = os.open
+
+    def of_another(path, flags, *mode):
+        if flags & (os.O_RDWR | os.O_WRONLY):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return opened(path, flags, *mode)
+
+    with locked(file) as first:
+        monkeypatch.setattr(os, "open", of_another)
+        with locked(file, wait=False) as second:
+            assert (first, second) == (True, False)
+    with locked(file, wait=False) as third:
+        assert third
+    assert file.read_text() == "theirs"

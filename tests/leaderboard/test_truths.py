@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -17,6 +19,8 @@ from oysterbench_leaderboard.site.export import export
 from oysterbench_leaderboard.site.server import application
 from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.storage.record import Record
+from oysterbench_leaderboard.storage.store import StatusChange
+from oysterbench_leaderboard.submissions.accounts.auth import Auth
 from oysterbench_leaderboard.submissions.estimates import upload_of
 from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 from oysterbench_leaderboard.submissions.words import Form
@@ -73,18 +77,32 @@ def test_what_anybody_wrote_down_keeps_no_ranked_record_off_the_board(store):
     publish(store, [(record_made("carp"), None)])
 
 
-def test_a_record_that_comes_back_counts_after_those_that_were_there_without_it(store):
-    ours, created = FORGED.method, "2020-01-02T00:00:00Z"
+@pytest.mark.parametrize("met", [True, False])
+def test_a_record_that_comes_back_counts_as_if_it_had_come_then(met, store):
+    """The board agreed on a ground truth without it; but it was there before what came after that."""
+    made = partial(record_made, tier="reported")
     publish(store, [(FORGED, None)])
-    ((_, right, _),) = publish(store, [(record_made(ours, "somebody", 0.8, tier="reported", created=created), None)])
-    publish(store, [(record_made("cod", tier="reported"), None)])
-    store.change_status(right, "withdrawn", "by the team")
-    (problem,) = verify(store).problems.items()
-    assert problem[0] == f"records/{FORGED.digest}.json"
-    assert "cod by reef lab: withdraw the one that is wrong" in problem[1]
-    publish(store, [(record_made("carp", tier="reported"), None)])
+    ((_, right, _),) = publish(store, [(made("forged", "somebody", 0.8, created="2020-01-02T00:00:00Z"), None)])
+    if met:
+        publish(store, [(made("cod", created="2020-01-03T00:00:00Z"), None)])
+    store.add_status_change(StatusChange(right, "withdrawn", "by the team", "2020-01-04T00:00:00Z"))
+    if not met:
+        store.add(made("cod", created="2020-01-05T00:00:00Z"))
+    ((file, why),) = verify(store).problems.items()
+    assert (file == f"records/{FORGED.digest}.json") is met
+    assert ("cod by reef lab" if met else "forged by somebody") in why
+    new = against(made("eel", created="2020-01-06T00:00:00Z")) if met else made("eel", created="2020-01-06T00:00:00Z")
     with pytest.raises(ResultError, match="have it withdrawn"):
-        publish(store, [(against(record_made("eel", tier="reported")), None)])
+        publish(store, [(new, None)])
+
+
+def test_a_reported_record_that_was_withdrawn_was_never_in_the_place_of_a_ranked_one(store):
+    carp = store.add(record_made("carp", created="2020-01-01T00:00:00Z"))
+    store.add(against(record_made("cod", created="2020-01-02T00:00:00Z")))
+    reported = store.add(record_made("carp", tier="reported", created="2020-01-03T00:00:00Z"))
+    store.change_status(reported, "withdrawn", "a mistake")
+    (why,) = verify(store).problems.values()
+    assert f"than record {carp[:8]}" in why
 
 
 def test_verify_names_the_record_of_another_ground_truth_until_it_is_withdrawn(store):
@@ -195,3 +213,22 @@ def test_of_two_that_are_published_at_once_one_is_refused(service, results, monk
     assert isinstance(found[0], Refusal)
     assert DO in found[0].reason
     assert len(service.store.digests()) == 1
+
+
+def test_publications_take_one_thread_of_the_server(service, monkeypatch):
+    inside, most, ended = [], [], threading.Event()
+
+    def publish_one(team, id):
+        inside.append(id)
+        most.append(len(inside))
+        ended.wait(0.02)
+        inside.remove(id)
+        return id
+
+    async def all_of_them():
+        auth = Auth(service)
+        return await asyncio.gather(*(auth.publish("reef lab", str(k)) for k in range(9)))
+
+    monkeypatch.setattr(service, "publish", publish_one)
+    assert asyncio.run(all_of_them()) == [str(k) for k in range(9)]
+    assert max(most) == 1
