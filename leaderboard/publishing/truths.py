@@ -11,7 +11,7 @@ from oysterbench.core.errors import OysterbenchError
 from oysterbench.core.text import composed
 from oysterbench_leaderboard.boards.ranking import Claim, states, withdrawn
 from oysterbench_leaderboard.storage.record import RANKED, Record
-from oysterbench_leaderboard.storage.store import RecordStore
+from oysterbench_leaderboard.storage.store import RecordStore, StatusChange
 
 DAMAGED = (OysterbenchError, ArithmeticError, ValueError, TypeError, RecursionError)
 """What reading a damaged record raises, which `verify` reports."""
@@ -22,7 +22,7 @@ DO = "render the split again and evaluate on it; or, if it is that record that i
 @dataclass(frozen=True)
 class Stated:
     """What a record says of its ground truths. owner: its method and team, which have one current record on a board;
-    truths: sequence -> digest, where it says one"""
+    supersedes: digest of the one that it names as replaced; truths: sequence -> digest, where it says one"""
 
     digest: str
     board: str
@@ -30,6 +30,7 @@ class Stated:
     created: str
     name: str
     owner: tuple[str, str]
+    supersedes: str
     truths: Mapping[str, str]
 
     @classmethod
@@ -38,21 +39,23 @@ class Stated:
         truths = {result.sequence: result.truth_digest for result in record.results if result.truth_digest}
         owner = composed(record.method), composed(record.team)
         name = f"{digest[:8]}, {record.method} by {record.team}"
-        return cls(digest, record.board, record.tier in RANKED, record.created, name, owner, truths)
+        return cls(digest, record.board, record.tier in RANKED, record.created, name, owner, record.supersedes, truths)
 
 
 @dataclass(frozen=True)
 class Absence:
-    """Time in which a record that is withdrawn now was in the place of earlier ones of its owner on its board, which
-    came back when it ended."""
+    """Time in which a record was not on the board: another one that is withdrawn now was in its place, or it was
+    withdrawn itself. instead: that other one, or itself"""
 
     instead: Stated
     ended: str
 
     def of(self, one: Stated) -> bool:
-        """Whether it was in the place of this record; a reported one never was in that of a ranked one."""
-        same = (one.board, one.owner) == (self.instead.board, self.instead.owner)
-        return same and one.created <= self.instead.created and one.is_ranked <= self.instead.is_ranked
+        """Whether it was of this record (`ranking.states`)."""
+        instead = self.instead
+        named = one.digest == instead.supersedes and one.owner[1] == instead.owner[1]
+        earlier = (one.board, one.owner) == (instead.board, instead.owner) and one.created <= instead.created
+        return (named or earlier) and one.is_ranked <= instead.is_ranked
 
 
 def by_trust(several: Iterable[Stated], absences: Sequence[Absence]) -> list[Stated]:
@@ -67,14 +70,19 @@ def by_trust(several: Iterable[Stated], absences: Sequence[Absence]) -> list[Sta
 
 
 def absences_in(store: RecordStore) -> list[Absence]:
-    """For each withdrawn record, how long others were absent for it."""
-    changes = store.read_status_changes()[0]
+    """Absences that ended when a record was withdrawn or restored."""
+    latest = {each.record: each.created for each in sorted(store.read_status_changes()[0], key=StatusChange.order)}
     found = []
-    for digest in withdrawn(changes):
-        ended = max(change.created for change in changes if change.record == digest)
+    for digest, ended in latest.items():
         with suppress(*DAMAGED):
             found.append(Absence(Stated.of(digest, store.record(digest)), ended))
     return found
+
+
+def contradicted(several: Iterable[Stated], store: RecordStore) -> dict[str, str]:
+    """`contradicting`, by trust."""
+    listed = by_trust(several, [])
+    return contradicting(by_trust(listed, absences_in(store))) if contradicting(listed) else {}  # reading takes long
 
 
 def contradicting(several: Iterable[Stated]) -> dict[str, str]:
@@ -96,11 +104,13 @@ def other_truth(store: RecordStore, records: Sequence[Record]) -> str:
     ones."""
     new = [Stated.of(record.digest, record) for record in records]
     replaced = {(one.board, one.owner) for one in new}
-    there = by_trust(stated_in(store, {record.split_digest for record in records}), absences_in(store))
+    there = stated_in(store, {record.split_digest for record in records})
     there = [one for one in there if (one.board, one.owner) not in replaced]
     if any(one.is_ranked for one in new):
         there = [one for one in there if one.is_ranked]
-    found = contradicting([*there, *new])
+    if not contradicting([*there, *new]):
+        return ""
+    found = contradicting([*by_trust(there, absences_in(store)), *new])
     return next((f"{found[one.digest]}: {DO}" for one in new if one.digest in found), "")
 
 

@@ -18,14 +18,20 @@ SCRATCH = "oysterbench-run-"
 
 @contextlib.contextmanager
 def locked(
-    path: str | os.PathLike[str], wait: bool = True, before_waiting: Callable[[], None] | None = None
+    path: str | os.PathLike[str],
+    wait: bool = True,
+    before_waiting: Callable[[], None] | None = None,
+    read_only: bool = False,
 ) -> Iterator[bool]:
     """Hold a lock file while the block runs; yield whether it is held. Another holder is waited for or, without `wait`,
-    prevents that. The system releases the lock of a process that dies. before_waiting: called before such a wait."""
+    prevents that. The system releases the lock of a process that dies.
+
+    before_waiting: called before such a wait; read_only: also where the file is another user's, and can only be read
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with naming(path.parent, path):
-        file = _opened(path)
+        file = _opened(path, read_only)
     try:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -41,11 +47,13 @@ def locked(
         os.close(file)
 
 
-def _opened(path: Path) -> int:
-    """Descriptor of a lock file, which may be another user's: to read is enough, but not on NFS."""
+def _opened(path: Path, read_only: bool) -> int:
+    """Descriptor of a lock file. To read is enough to lock it, but not on NFS."""
     try:
         return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
     except PermissionError:
+        if not read_only or not path.exists():
+            raise
         return os.open(path, os.O_RDONLY | os.O_CLOEXEC)
 
 
@@ -54,7 +62,7 @@ def locked_if_possible(path: str | os.PathLike[str]) -> Iterator[None]:
     """Hold a lock file while the block runs; on a disk without locks, as some network disks, it runs all the same."""
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(OSError):
-            stack.enter_context(locked(path))
+            stack.enter_context(locked(path, read_only=True))
         yield
 
 

@@ -10,10 +10,14 @@ import sys
 import tempfile
 from pathlib import Path
 
+import pytest
+
 from oysterbench.core.locks import locked, scratch
 
 KILLED = """
 import os, signal
+import pytest
+
 from oysterbench.core.locks import scratch
 with scratch() as folder:
     (folder / "left.txt").write_text("half")
@@ -72,8 +76,12 @@ def test_the_lock_file_of_another_user_is_held_too_and_keeps_what_is_in_it(tmp_p
 
     with locked(file) as first:
         monkeypatch.setattr(os, "open", of_another)
-        with locked(file, wait=False) as second:
+        with locked(file, wait=False, read_only=True) as second:
             assert (first, second) == (True, False)
-    with locked(file, wait=False) as third:
+        with pytest.raises(PermissionError), locked(file):
+            pass
+    with locked(file, wait=False, read_only=True) as third:
         assert third
+    with pytest.raises(PermissionError), locked(tmp_path / "none", read_only=True):
+        pass
     assert file.read_text() == "theirs"

@@ -18,7 +18,7 @@ def main() -> None:
     HTTPConnection.default_socket_options = [(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 14)]
     if "no-locks" in options:
 
-        def no_lock(path: Path):
+        def no_lock(path: Path, **how: bool):
             raise OSError("no locks here")
 
         locks.locked = no_lock  # type: ignore[assignment]

@@ -96,6 +96,20 @@ def test_a_record_that_comes_back_counts_as_if_it_had_come_then(met, store):
         publish(store, [(new, None)])
 
 
+def test_a_record_was_absent_whatever_was_in_its_place_and_where_it_was_withdrawn_itself(store):
+    made = partial(record_made, tier="reported")
+    forged = store.add(against(made("forged", "somebody", created="2020-01-02T00:00:00Z")))
+    named = replace(made("forged", "somebody", 0.8, created="2020-01-01T00:00:00Z"), supersedes=forged)
+    store.add(made("cod", created="2020-01-03T00:00:00Z"))
+    instead = store.add(named)  # made before the one that it replaces, and published after it
+    store.add_status_change(StatusChange(instead, "withdrawn", "by the team", "2020-01-04T00:00:00Z"))
+    assert list(verify(store).problems) == [f"records/{forged}.json"]
+    other = store.add(against(made("eel", "others", created="2020-01-01T00:00:00Z")))
+    for action, day in (("withdrawn", 2), ("restored", 5)):
+        store.add_status_change(StatusChange(other, action, "a mistake", f"2020-01-0{day}T12:00:00Z"))
+    assert sorted(verify(store).problems) == sorted([f"records/{forged}.json", f"records/{other}.json"])
+
+
 def test_a_reported_record_that_was_withdrawn_was_never_in_the_place_of_a_ranked_one(store):
     carp = store.add(record_made("carp", created="2020-01-01T00:00:00Z"))
     store.add(against(record_made("cod", created="2020-01-02T00:00:00Z")))
