@@ -51,7 +51,7 @@ class Absence:
     ended: str
 
     def of(self, one: Stated) -> bool:
-        """Whether it was of this record (`ranking.states`)."""
+        """Whether this record was absent then, by the rules of `ranking.states`."""
         instead = self.instead
         named = one.digest == instead.supersedes and one.owner[1] == instead.owner[1]
         earlier = (one.board, one.owner) == (instead.board, instead.owner) and one.created <= instead.created
@@ -80,7 +80,7 @@ def absences_in(store: RecordStore) -> list[Absence]:
 
 
 def contradicted(several: Iterable[Stated], store: RecordStore) -> dict[str, str]:
-    """`contradicting`, by trust."""
+    """Digest of a record -> in what its ground truth is another than that of one on its board that is trusted more."""
     listed = by_trust(several, [])
     return contradicting(by_trust(listed, absences_in(store))) if contradicting(listed) else {}  # reading takes long
 
