@@ -104,7 +104,7 @@ def run_training(
     device: str,
     again: bool,
 ) -> Checkpoint:
-    """Run a training on labelled images for a command, with progress bars for reading and steps, and report its end.
+    """Run a training on labelled images for a command, with a progress bar for each stage, and report its end.
 
     train: a function like `unet.training.train`. again: start over, even if a checkpoint exists.
     """
@@ -115,8 +115,9 @@ def run_training(
     with (
         frames_bar("reading", "images") as loading,
         frames_bar(f"training {name} on {len(labelled)} images", "steps") as progress,
+        frames_bar("measuring", "images") as measuring,
     ):
-        checkpoint = train(labelled, path, settings, seed, chosen, progress, loading, again=again)
+        checkpoint = train(labelled, path, settings, seed, chosen, progress, loading, measuring, again=again)
     tell_end(checkpoint, path)
     return checkpoint
 

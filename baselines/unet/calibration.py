@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -84,6 +85,12 @@ def kept_back(labelled: LabelledSet) -> tuple[LabelledSet, LabelledSet]:
             ends = list(run.entries) if short % SHARE == 0 else []
         kept |= {entry.name for entry in ends}
     return labelled.where(lambda entry: entry.name not in kept), labelled.where(lambda entry: entry.name in kept)
+
+
+def names_digest(labelled: LabelledSet) -> str:
+    """SHA-256 of the names of a set's images: which images were held out."""
+    names = "\n".join(entry.name for entry in labelled.entries)
+    return hashlib.sha256(names.encode(errors="surrogateescape")).hexdigest()
 
 
 def measured(

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -22,7 +22,6 @@ from oysterbench_baselines.learning.trained import (
 )
 
 if TYPE_CHECKING:
-    from oysterbench_baselines.learning.checkpoint import Checkpoint
     from oysterbench_baselines.unet.training import UNetSettings
 
 
@@ -137,14 +136,12 @@ def _train(
     again: bool,
     encoder: str | None = None,
 ) -> None:
-    """Train one of the networks on the data named by a command, with a progress bar for each stage."""
+    """Train one of the networks on the data named by a command."""
     from oysterbench.cli.echo import message
     from oysterbench.cli.labelled import open_training_data
-    from oysterbench.cli.render import frames_bar
     from oysterbench_baselines.learning.checkpoint import read_finished
     from oysterbench_baselines.unet.model import check_kind
-    from oysterbench_baselines.unet.training import begun_settings, thresholds_of
-    from oysterbench_baselines.unet.training import train as train_unet
+    from oysterbench_baselines.unet.training import begun_settings, thresholds_of, train
 
     path = out or checkpoint_path(name)
     if begin == Path(name) and not begin.exists():
@@ -168,12 +165,7 @@ def _train(
         settings = begun_settings(settings, begun)
     labelled = open_training_data(names, side)
     settings = replace(settings, fit=replace(settings.fit, steps=steps, threads=threads))
-
-    def train(*arguments: Any, again: bool) -> Checkpoint:
-        with frames_bar("measuring", "images") as measuring:
-            return partial(train_unet, measuring=measuring, begun=begun, again=again)(*arguments)
-
-    checkpoint = run_training(name, labelled, settings, train, path, seed, device, again)
+    checkpoint = run_training(name, labelled, settings, partial(train, begun=begun), path, seed, device, again)
     message(thresholds_of(checkpoint, begun))
 
 

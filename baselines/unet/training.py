@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +21,7 @@ from oysterbench_baselines.learning.loop import FitSettings, Progress, beside, c
 from oysterbench_baselines.learning.losses import mask_loss
 from oysterbench_baselines.learning.novelty import clips_of, learnt
 from oysterbench_baselines.learning.samples import LabelledDataset
-from oysterbench_baselines.unet.calibration import LEAST, Calibration, evenly, kept_back
+from oysterbench_baselines.unet.calibration import LEAST, Calibration, evenly, kept_back, names_digest
 from oysterbench_baselines.unet.calibration import measured as calibrated
 from oysterbench_baselines.unet.method import DEFAULT_VIEWS
 from oysterbench_baselines.unet.model import calibration_of, described, unet_model
@@ -84,8 +83,7 @@ def identity(
     method = kind_of(plain["network"])
     found = {"method": method, "settings": plain, "data": dict(data), "seed": seed, "device": device.type}
     if kept is not None:
-        names = "\n".join(entry.name for entry in kept.entries)
-        found["held_out"] = hashlib.sha256(names.encode(errors="surrogateescape")).hexdigest()
+        found["held_out"] = names_digest(kept)
     return found if begun is None else {**found, "begun": {**begun.identity, "steps": begun.step}}
 
 

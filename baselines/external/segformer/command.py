@@ -1,4 +1,4 @@
-"""`oysterbench train segformer`, in the interpreter that its build has."""
+"""`oysterbench train segformer`, run in the environment of its build."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 
 import click
 
+from oysterbench.cli.echo import message
 from oysterbench.core.helpers import module_command
 from oysterbench.core.places import home
 from oysterbench.methods.systems import find_system
@@ -55,9 +56,11 @@ def command(
     from oysterbench.cli.labelled import open_training_data
     from oysterbench_baselines.external.segformer.network import SegFormerSettings
     from oysterbench_baselines.external.segformer.training import TrainingSettings, train
+    from oysterbench_baselines.unet.training import thresholds_of
 
     labelled = open_training_data(names, side)
     settings = TrainingSettings(network=SegFormerSettings(size=size))
     settings = replace(settings, fit=replace(settings.fit, steps=steps, threads=threads))
     path = out or home() / system.description.options["weights"].default
-    run_training("segformer", labelled, settings, train, path, seed, device, again)
+    checkpoint = run_training("segformer", labelled, settings, train, path, seed, device, again)
+    message(thresholds_of(checkpoint))

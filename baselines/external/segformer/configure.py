@@ -1,4 +1,4 @@
-"""SegFormer reads the folder of pictures as it is: its options go to `segment.py`."""
+"""SegFormer reads the folder of images as it is; its options go to `segment.py`."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from oysterbench.methods.systems.launch import Launch
 
 
 def command(launch: Launch) -> list[str]:
-    """Write the options as JSON; the command line of the program, under the interpreter that has transformers."""
+    """Write the options as JSON, and return the command line, which runs in the environment that has transformers."""
     task = {**launch.options, "instances": launch.about.track == "detection"}
-    weights = task.pop("weights")  # known by what it holds, and not by its path
+    weights = task.pop("weights")  # identified by their content, not by their path
     (launch.folder / "task.json").write_text(json.dumps(task, indent=1), encoding="utf-8")
     words = (launch.folder / "task.json", weights, launch.given, launch.out)
     python = launch.build.parent / "venv" / "bin" / "python"

@@ -1,4 +1,4 @@
-"""The network: SegFormer as the package transformers has it, its weights drawn at random."""
+"""The network: SegFormer from the package transformers, with random initial weights."""
 
 from __future__ import annotations
 
@@ -12,14 +12,16 @@ from torch.nn import functional
 from transformers import SegformerConfig, SegformerForSemanticSegmentation
 
 from oysterbench.core.errors import MethodError
-from oysterbench_baselines.learning.checkpoint import read_finished
+from oysterbench_baselines.learning.checkpoint import Checkpoint, read_finished
 from oysterbench_baselines.learning.masks import MaskModel
+from oysterbench_baselines.unet.calibration import Calibration
+from oysterbench_baselines.unet.model import calibration_of
 
 OUTPUTS = ("oyster", "depth")
-"""What the channels of the prediction are logits of; depth: into an oyster, see `learning.samples.depths`."""
+"""Channels of the prediction, as logits; depth: inside an oyster, see `learning.samples.depths`."""
 
 MULTIPLE = 32
-"""Of pixels, that width and height of what the network is given must be: its coarsest level has one in so many."""
+"""Number of pixels of which the width and height of the network's input must be multiples."""
 
 SIZES: dict[str, dict[str, Any]] = {
     "b0": {"hidden_sizes": [32, 64, 160, 256], "depths": [2, 2, 2, 2], "decoder_hidden_size": 256},
@@ -31,8 +33,8 @@ SIZES: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class SegFormerSettings:
-    """size: of `SIZES`; drop_path: chance of leaving a block out in training; scale: of an image, at which it is looked
-    at."""
+    """size: a key of `SIZES`; drop_path: probability of dropping a block in training; scale: at which an image is
+    processed."""
 
     size: str = "b0"
     drop_path: float = 0.1
@@ -48,19 +50,25 @@ class SegFormer(torch.nn.Module):
         self.network = SegformerForSemanticSegmentation(config)
 
     def forward(self, pixels: torch.Tensor) -> torch.Tensor:
-        """What it says at a quarter of the size, enlarged as the authors do before their loss."""
+        """Predict at a quarter of the size, and enlarge that as the authors do before their loss."""
         logits = self.network(pixel_values=pixels).logits
         return functional.interpolate(logits, size=pixels.shape[-2:], mode="bilinear", align_corners=False)
 
 
 def described(settings: SegFormerSettings) -> dict[str, Any]:
-    """What a checkpoint says of the network."""
+    """Description of the network in a checkpoint."""
     return {"kind": "segformer", "transformers": transformers.__version__, **asdict(settings)}
 
 
-def read_model(path: Path, device: torch.device) -> MaskModel:
-    """From a finished training. Raises MethodError where it is of another network, or not finished."""
+def read_model(path: Path, device: torch.device) -> tuple[MaskModel, Calibration]:
+    """Read the network of a finished training, and its calibration. Raises MethodError where it is of another network,
+    or not finished."""
     checkpoint = read_finished(path)
+    return model_of(checkpoint, path, device), calibration_of(checkpoint)
+
+
+def model_of(checkpoint: Checkpoint, path: Path, device: torch.device) -> MaskModel:
+    """Build the network of a checkpoint. path: that messages name. Raises MethodError where it is of another one."""
     known = dict(checkpoint.network)
     if known.pop("kind", None) != "segformer":
         raise MethodError(
