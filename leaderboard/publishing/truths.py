@@ -3,8 +3,8 @@ must have one."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from oysterbench.core.errors import OysterbenchError
@@ -16,73 +16,108 @@ from oysterbench_leaderboard.storage.store import RecordStore, StatusChange
 DAMAGED = (OysterbenchError, ArithmeticError, ValueError, TypeError, RecursionError)
 """What reading a damaged record raises, which `verify` reports."""
 
+Said = tuple[str, str, str, bool]
+"""Board, sequence, digest of its ground truth, and whether ranked records alone count."""
+
+Moment = tuple[str, bool]
+"""A time, UTC, and whether it is that of a status change, which comes after the records of the same second."""
+
+STILL: Moment = ("3", False)
+"""Later than the time of any record."""
+
 DO = "render the split again and evaluate on it; or, if it is that record that is wrong, have it withdrawn"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Stated:
-    """What a record says of its ground truths. owner: its method and team, which have one current record on a board;
-    supersedes: digest of the one that it names as replaced; truths: sequence -> digest, where it says one"""
+    """What a record says of its ground truths. claim: what decides whether it is current; truths: sequence -> digest,
+    where it says one"""
 
-    digest: str
-    board: str
-    is_ranked: bool
-    created: str
-    name: str
-    owner: tuple[str, str]
-    supersedes: str
+    claim: Claim
     truths: Mapping[str, str]
 
     @classmethod
     def of(cls, digest: str, record: Record) -> Stated:
         """What a record says."""
         truths = {result.sequence: result.truth_digest for result in record.results if result.truth_digest}
-        owner = composed(record.method), composed(record.team)
-        name = f"{digest[:8]}, {record.method} by {record.team}"
-        return cls(digest, record.board, record.tier in RANKED, record.created, name, owner, record.supersedes, truths)
+        return cls(Claim.of(digest, record), truths)
+
+    @property
+    def name(self) -> str:
+        """Start of its digest, method and team."""
+        return f"{self.claim.digest[:8]}, {self.claim.method} by {self.claim.team}"
+
+    @property
+    def owner(self) -> tuple[str, str, str]:
+        """Board, method and team, of which one record is current."""
+        return self.claim.board, composed(self.claim.method), composed(self.claim.team)
+
+    @property
+    def is_ranked(self) -> bool:
+        """Whether its tier is."""
+        return self.claim.tier in RANKED
+
+    def said(self, ranked: bool) -> set[Said]:
+        """Its ground truths, as keys of `held_since`."""
+        return {(self.claim.board, *truth, ranked) for truth in self.truths.items()}
 
 
-@dataclass(frozen=True)
-class Absence:
-    """Time in which a record was not on the board: another one that is withdrawn now was in its place, or it was
-    withdrawn itself. instead: that other one, or itself"""
+def held_since(every: Iterable[Stated], changes: Sequence[StatusChange]) -> dict[Said, Moment]:
+    """Since when each ground truth has been on its board without a break, whichever records said so; STILL where none
+    does now.
 
-    instead: Stated
-    ended: str
+    every: records, whatever their state; changes: of their status
+    """
+    methods: dict[tuple[str, str], list[Stated]] = defaultdict(list)
+    for one in every:
+        methods[one.owner[1:]].append(one)
+    times: dict[Said, list[tuple[Moment, Moment]]] = defaultdict(list)
+    for method in methods.values():
+        for one, start, end in _times_of(method, changes):
+            for said in one.said(False) | one.said(one.is_ranked):
+                times[said].append((end, start))
+    found = dict.fromkeys(times, STILL)
+    for said, several in times.items():
+        for end, start in sorted(several, reverse=True):
+            if end >= found[said]:
+                found[said] = min(start, found[said])
+    return found
 
-    def of(self, one: Stated) -> bool:
-        """Whether this record was absent then, by the rules of `ranking.states`."""
-        instead = self.instead
-        named = one.digest == instead.supersedes and one.owner[1] == instead.owner[1]
-        earlier = (one.board, one.owner) == (instead.board, instead.owner) and one.created <= instead.created
-        return (named or earlier) and one.is_ranked <= instead.is_ranked
+
+def _times_of(method: Sequence[Stated], changes: Sequence[StatusChange]) -> Iterator[tuple[Stated, Moment, Moment]]:
+    """Start and end of each time in which a record of a team's method was current: STILL where it is. None takes the
+    place of one of another method."""
+    digests = {one.claim.digest for one in method}
+    changes = sorted((each for each in changes if each.record in digests), key=StatusChange.order)
+    first = {each.record: each.created for each in reversed(changes)}
+    came = {one: (min(one.claim.created, first.get(one.claim.digest, STILL[0])), False) for one in method}
+    since: dict[Stated, Moment] = {}
+    for at in sorted({*came.values(), *((each.created, True) for each in changes)}):
+        gone = withdrawn(each for each in changes if (each.created, True) <= at)
+        state = states((one.claim for one in method if came[one] <= at), gone)
+        for one in method:
+            if state.get(one.claim.digest) == "current":
+                since.setdefault(one, at)
+            elif one in since:
+                yield one, since.pop(one), at
+    yield from ((one, start, STILL) for one, start in since.items())
 
 
-def by_trust(several: Iterable[Stated], absences: Sequence[Absence]) -> list[Stated]:
-    """Ranked records first, as anybody can write reported results down, and of these those that have been on the board
-    longest without a break: what came in meanwhile was checked without them."""
+def by_trust(several: Iterable[Stated], since: Mapping[Said, Moment]) -> list[Stated]:
+    """Ranked records first, as anybody can write reported results down, and of these those whose ground truths have
+    been on the board longest without a break: what came in meanwhile was checked without others. since: `held_since`"""
 
-    def order(one: Stated) -> tuple[bool, str, str, str]:
-        since = max([one.created, *(absence.ended for absence in absences if absence.of(one))])
-        return not one.is_ranked, since, one.created, one.digest
+    def order(one: Stated) -> tuple[bool, Moment, str, str]:
+        latest = max((since.get(said, STILL) for said in one.said(one.is_ranked)), default=STILL)
+        return not one.is_ranked, latest, one.claim.created, one.claim.digest
 
     return sorted(several, key=order)
 
 
-def absences_in(store: RecordStore) -> list[Absence]:
-    """Absences that ended when a record was withdrawn or restored."""
-    latest = {each.record: each.created for each in sorted(store.read_status_changes()[0], key=StatusChange.order)}
-    found = []
-    for digest, ended in latest.items():
-        with suppress(*DAMAGED):
-            found.append(Absence(Stated.of(digest, store.record(digest)), ended))
-    return found
-
-
-def contradicted(several: Iterable[Stated], store: RecordStore) -> dict[str, str]:
-    """Digest of a record -> in what its ground truth is another than that of one on its board that is trusted more."""
-    listed = by_trust(several, [])
-    return contradicting(by_trust(listed, absences_in(store))) if contradicting(listed) else {}  # reading takes long
+def contradicted(several: Collection[Stated], since: Callable[[], Mapping[Said, Moment]]) -> dict[str, str]:
+    """Digest of a record -> in what its ground truth is another than that of one on its board that is trusted more.
+    since: returns `held_since`, which takes long, and is asked only where there is such a record"""
+    return contradicting(by_trust(several, since())) if contradicting(several) else {}
 
 
 def contradicting(several: Iterable[Stated]) -> dict[str, str]:
@@ -90,11 +125,13 @@ def contradicting(several: Iterable[Stated]) -> dict[str, str]:
     known: dict[tuple[str, str], Stated] = {}
     found = {}
     for one in several:
-        before = {name: known.get((one.board, name), one) for name in one.truths}
+        board = one.claim.board
+        before = {name: known.get((board, name), one) for name in one.truths}
         if odd := [name for name, other in before.items() if other.truths[name] != one.truths[name]]:
-            found[one.digest] = f"{odd[0]}: scored against another ground truth than record {before[odd[0]].name}"
+            other = before[odd[0]].name
+            found[one.claim.digest] = f"{odd[0]}: scored against another ground truth than record {other}"
             continue
-        known |= {(one.board, name): other for name, other in before.items()}
+        known |= {(board, name): other for name, other in before.items()}
     return found
 
 
@@ -103,30 +140,30 @@ def other_truth(store: RecordStore, records: Sequence[Record]) -> str:
     there, or of another new one; and what to do. Empty where there is none. A ranked one need only agree with ranked
     ones."""
     new = [Stated.of(record.digest, record) for record in records]
-    replaced = {(one.board, one.owner) for one in new}
-    there = stated_in(store, {record.split_digest for record in records})
-    there = [one for one in there if (one.board, one.owner) not in replaced]
+    replaced = {one.owner for one in new}
+    every, changes = stated_in(store, {record.split_digest for record in records})
+    there = [one for one in current(every, changes) if one.owner not in replaced]
     if any(one.is_ranked for one in new):
         there = [one for one in there if one.is_ranked]
-    if not contradicting([*there, *new]):
-        return ""
-    found = contradicting([*by_trust(there, absences_in(store)), *new])
-    return next((f"{found[one.digest]}: {DO}" for one in new if one.digest in found), "")
+    found = contradicted([*there, *new], lambda: held_since(every, changes))
+    return next((f"{found[one.claim.digest]}: {DO}" for one in new if one.claim.digest in found), "")
 
 
-def stated_in(store: RecordStore, split_digests: Collection[str] = ("",)) -> list[Stated]:
-    """What the current records of a store say that are of one of some recipes, by default of any. Those that cannot be
-    read are left out."""
-    gone = withdrawn(store.read_status_changes()[0])
-    claims, found = [], []
+def current(every: Collection[Stated], changes: Sequence[StatusChange]) -> list[Stated]:
+    """Those of all records that are current."""
+    state = states((one.claim for one in every), withdrawn(changes))
+    return [one for one in every if state[one.claim.digest] == "current"]
+
+
+def stated_in(store: RecordStore, recipes: Collection[str] = ("",)) -> tuple[list[Stated], list[StatusChange]]:
+    """What the records of a store say that are of one of some recipes, by default of any, whatever their state; and all
+    status changes. Those that cannot be read are left out."""
+    found = []
     for digest in store.digests():
         try:
-            data = b"" if digest in gone else store.data(digest)
-            if data and any(split.encode() in data for split in split_digests):  # as parsing takes longer
-                record = store.record(digest)
-                claims.append(Claim.of(digest, record))
-                found.append(Stated.of(digest, record))
+            data = store.data(digest)
+            if any(recipe.encode() in data for recipe in recipes):  # as parsing takes longer
+                found.append(Stated.of(digest, store.record(digest)))
         except DAMAGED:
             continue
-    state = states(claims, gone)
-    return [one for one in found if state[one.digest] == "current"]
+    return found, store.read_status_changes()[0]

@@ -12,7 +12,7 @@ from oysterbench.hub.canonical import canonical, decode, parse
 from oysterbench.tracks import TRACKS
 from oysterbench_leaderboard.boards.ranking import columns_of
 from oysterbench_leaderboard.publishing.contradictions import check_contradictions, check_drawn
-from oysterbench_leaderboard.publishing.truths import contradicted, stated_in
+from oysterbench_leaderboard.publishing.truths import contradicted, current, held_since, stated_in
 from oysterbench_leaderboard.storage.curves import FORMAT as CURVES
 from oysterbench_leaderboard.storage.curves import Curve, Curves
 from oysterbench_leaderboard.storage.record import Record, check_time
@@ -57,7 +57,8 @@ def verify(store: RecordStore) -> Verified:
                 problems[where] = str(error)
             except (OSError, ArithmeticError, ValueError, TypeError, RecursionError) as error:
                 problems[where] = f"it cannot be read: {in_one_line(error)}"
-    for digest, why in contradicted(stated_in(store), store).items():
+    every, changes = stated_in(store)
+    for digest, why in contradicted(current(every, changes), lambda: held_since(every, changes)).items():
         problems.setdefault(f"records/{digest}.json", f"{why}: withdraw the one that is wrong")
     return Verified(checked, problems)
 

@@ -16,7 +16,7 @@ from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.core.permissions import umask
 from oysterbench.hub.canonical import canonical
 from oysterbench_leaderboard.boards.board import STATES, BoardInfo, Query
-from oysterbench_leaderboard.publishing.truths import Stated, contradicted
+from oysterbench_leaderboard.publishing.truths import Stated
 from oysterbench_leaderboard.site import render
 from oysterbench_leaderboard.site.datasets import all_data_sets
 from oysterbench_leaderboard.site.links import FileLinks, file_of, numbered, pair_path
@@ -148,7 +148,7 @@ def _work(site: Site, digests: Collection[str], report: Report) -> Iterator[Work
         if info.newest:
             first = [row.digest for row in site.index.page(info.id, Query(size=PAIRED)).rows if row.digest in whole]
             stated = [Stated.of(digest, site.record(digest)) for digest in first]
-            odd = contradicted(stated, site.store)
+            odd = site.contradicted(stated)
             for digest, why in odd.items():
                 report(digest, f"its comparisons: {why}")
             pairs |= set(permutations([digest for digest in first if digest not in odd], 2))

@@ -14,6 +14,7 @@ from oysterbench.evaluate.metrics import FAILED, find_metric
 from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.boards.board import STATES, BoardInfo, Literature, Query, Row
 from oysterbench_leaderboard.boards.index import BoardIndex
+from oysterbench_leaderboard.publishing.truths import Stated, contradicted, held_since, stated_in
 from oysterbench_leaderboard.site.page import PageError
 from oysterbench_leaderboard.site.paths import slug
 from oysterbench_leaderboard.storage.record import RANKED, Record
@@ -132,6 +133,10 @@ class Site:
         for change in self.store.read_status_changes()[0]:
             found.setdefault(change.record, []).append(change)
         return found
+
+    def contradicted(self, several: Collection[Stated]) -> dict[str, str]:
+        """As `truths.contradicted`, of some records."""
+        return contradicted(several, lambda: self._once("ground truths", lambda: held_since(*stated_in(self.store))))
 
     def methods(self) -> dict[str, str]:
         """Slug -> name of a method. Plain names, which are their own slugs, are left out."""

@@ -12,8 +12,9 @@ import pytest
 from oysterbench.core.errors import ResultError
 from oysterbench.results.records import write_results
 from oysterbench_leaderboard.boards.index import open_index
+from oysterbench_leaderboard.publishing import truths
 from oysterbench_leaderboard.publishing.publish import publish
-from oysterbench_leaderboard.publishing.truths import DO
+from oysterbench_leaderboard.publishing.truths import DO, Stated, held_since
 from oysterbench_leaderboard.publishing.verifying import verify
 from oysterbench_leaderboard.site.export import export
 from oysterbench_leaderboard.site.server import application
@@ -110,6 +111,31 @@ def test_a_record_was_absent_whatever_was_in_its_place_and_where_it_was_withdraw
     assert sorted(verify(store).problems) == sorted([f"records/{forged}.json", f"records/{other}.json"])
 
 
+def test_a_ground_truth_is_believed_from_when_it_came_whichever_records_have_said_so_since(store):
+    """An invented one that came back later keeps nobody from replacing a record, and stays behind what came after."""
+    made = partial(record_made, tier="reported")
+    forged = store.add(against(made("forged", "somebody", created="2020-01-01T00:00:00Z")))
+    ((_, instead, _),) = publish(store, [(made("forged", "somebody", 0.8, created="2020-01-02T00:00:00Z"), None)])
+    publish(store, [(made("carp", created="2020-01-03T00:00:00Z"), None)])
+    store.add_status_change(StatusChange(instead, "withdrawn", "by the team", "2020-01-04T00:00:00Z"))
+    ((_, carp, _),) = publish(store, [(made("carp", skill=0.7, created="2020-01-05T00:00:00Z"), None)])
+    publish(store, [(made("cod", created="2020-01-06T00:00:00Z"), None)])
+    store.add_status_change(StatusChange(carp, "withdrawn", "by the team", "2020-01-07T00:00:00Z"))
+    publish(store, [(made("cod", skill=0.7, created="2020-01-08T00:00:00Z"), None)])
+    assert list(verify(store).problems) == [f"records/{forged}.json"]
+
+
+def test_since_when_a_ground_truth_is_there_takes_no_longer_for_the_many_methods_of_a_team(monkeypatch):
+    several = [record_made(f"carp{k}", created=f"2020-01-01T00:00:{k:02d}Z") for k in range(30)]
+    seen, states = [], truths.states
+    monkeypatch.setattr(
+        truths, "states", lambda claims, gone: states([seen.append(one) or one for one in claims], gone)
+    )
+    found = held_since([Stated.of(record.digest, record) for record in several], [])
+    assert set(found.values()) == {("2020-01-01T00:00:00Z", False)}
+    assert len(seen) == len(several)
+
+
 def test_a_reported_record_that_was_withdrawn_was_never_in_the_place_of_a_ranked_one(store):
     carp = store.add(record_made("carp", created="2020-01-01T00:00:00Z"))
     store.add(against(record_made("cod", created="2020-01-02T00:00:00Z")))
@@ -152,6 +178,15 @@ def test_comparisons_with_it_are_refused_in_one_line(site):
     assert board.status == 200
     assert 'data-label="carp"' in board.text
     assert 'data-label="forged"' not in board.text
+
+
+def test_the_records_of_others_are_read_for_one_page_only(site, monkeypatch):
+    read: list[str] = []
+    monkeypatch.setattr(site.store, "digests", lambda: read.append("all") or [])
+    client = Client(application(site, fresh_s=0.0))
+    pages = [client.get(f"/boards/slam/slam-val?q={words}").status for words in ("", "o", "d")]
+    client.close()
+    assert (pages, read) == ([200] * 3, ["all"])
 
 
 def test_the_files_of_the_site_are_written_without_its_comparisons(site, tmp_path):

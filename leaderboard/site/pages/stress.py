@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from oysterbench.report.stress import stress_group
 from oysterbench_leaderboard.boards.board import BoardInfo, Row
-from oysterbench_leaderboard.publishing.truths import Stated, contradicted
+from oysterbench_leaderboard.publishing.truths import Stated
 from oysterbench_leaderboard.site import charts, standing
 from oysterbench_leaderboard.site.site import Site
 
@@ -23,7 +23,7 @@ def stress_drawing(site: Site, info: BoardInfo, rows: Sequence[Row]) -> charts.D
     if not shown or not site.has_disturbances(info.id, shown[0].digest):
         return None
     stated = [Stated.of(row.digest, site.record(row.digest)) for row in shown]
-    odd = contradicted(stated, site.store)
+    odd = site.contradicted(stated)
     shown = [row for row in shown if row.digest not in odd]
     names = [row.method for row in shown]
     labels = [row.method if names.count(row.method) == 1 else f"{row.method} ({row.digest[:8]})" for row in shown]
