@@ -58,8 +58,9 @@ class RecordStore:
         return self._keep("records", record.data)
 
     def publishing(self) -> AbstractContextManager[None]:
-        """Lock between looking at what is there and adding to it, so that no other process adds anything meanwhile."""
-        return locked_if_possible(self.folder / ".publishing.lock")
+        """Lock between looking at what is there and adding to it, so that no other process adds anything meanwhile.
+        Raises OSError where its file is closed to this user."""
+        return locked_if_possible(self.folder / ".publishing.lock", needed=True)
 
     def add_status_change(self, change: StatusChange) -> str:
         """Store a change of a record's status; return the change's digest."""

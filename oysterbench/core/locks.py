@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 import shutil
@@ -14,6 +15,9 @@ from oysterbench.core.atomic import naming
 
 SCRATCH = "oysterbench-run-"
 """Prefix of temporary folders; those whose process was killed are removed later."""
+
+NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+"""Errors of a disk without locks."""
 
 
 @contextlib.contextmanager
@@ -30,18 +34,19 @@ def locked(
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with naming(path.parent, path):
-        file = _opened(path, read_only)
+    file = _opened(path, read_only)
     try:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            with naming(path):
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             if not wait:
                 yield False
                 return
             if before_waiting is not None:
                 before_waiting()
-            fcntl.flock(file, fcntl.LOCK_EX)
+            with naming(path):
+                fcntl.flock(file, fcntl.LOCK_EX)
         yield True
     finally:
         os.close(file)
@@ -50,7 +55,8 @@ def locked(
 def _opened(path: Path, read_only: bool) -> int:
     """Descriptor of a lock file. To read is enough to lock it, but not on NFS."""
     try:
-        return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        with naming(path.parent, path):
+            return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
     except PermissionError:
         if not read_only or not path.exists():
             raise
@@ -58,11 +64,15 @@ def _opened(path: Path, read_only: bool) -> int:
 
 
 @contextlib.contextmanager
-def locked_if_possible(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Hold a lock file while the block runs; on a disk without locks, as some network disks, it runs all the same."""
+def locked_if_possible(path: str | os.PathLike[str], needed: bool = False) -> Iterator[None]:
+    """Hold a lock file while the block runs; where that cannot be, as on some network disks or in a folder that is only
+    to be read, it runs all the same. needed: on a disk without locks only; OSError is raised elsewhere."""
     with contextlib.ExitStack() as stack:
-        with contextlib.suppress(OSError):
+        try:
             stack.enter_context(locked(path, read_only=True))
+        except OSError as error:
+            if needed and error.errno not in NO_LOCKS:
+                raise
         yield
 
 

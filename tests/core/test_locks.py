@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from oysterbench.core.locks import locked, scratch
+from oysterbench.core.locks import locked, locked_if_possible, scratch
 
 KILLED = """
 import os, signal
@@ -85,3 +86,29 @@ def test_the_lock_file_of_another_user_is_held_too_and_keeps_what_is_in_it(tmp_p
     with pytest.raises(PermissionError), locked(tmp_path / "none", read_only=True):
         pass
     assert file.read_text() == "theirs"
+
+
+def test_a_lock_that_is_needed_is_done_without_on_a_disk_without_locks_only(tmp_path, monkeypatch):
+    file, opened = tmp_path / "lock", os.open
+    file.touch()
+
+    def closed(path, *how):
+        if path == file:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return opened(path, *how)
+
+    def no_lock(handle, how):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(os, "open", closed)
+    with locked_if_possible(file):
+        pass
+    with pytest.raises(PermissionError) as told, locked_if_possible(file, needed=True):
+        pass
+    assert told.value.filename == str(file)
+    monkeypatch.setattr(os, "open", opened)
+    monkeypatch.setattr(fcntl, "flock", no_lock)
+    with locked_if_possible(file, needed=True):
+        pass
+    with pytest.raises(OSError, match=re.escape(str(file))), locked(file):
+        pass

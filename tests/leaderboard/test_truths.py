@@ -264,6 +264,13 @@ def test_of_two_that_are_published_at_once_one_is_refused(service, results, monk
     assert len(service.store.digests()) == 1
 
 
+def test_nothing_is_published_without_the_lock_where_its_file_is_closed(store):
+    (store.folder / ".publishing.lock").mkdir(parents=True)  # what even root cannot open for writing
+    with pytest.raises(IsADirectoryError):
+        publish(store, [(record_made("carp"), None)])
+    assert store.digests() == []
+
+
 def test_publications_take_one_thread_of_the_server(service, monkeypatch):
     inside, most, ended = [], [], threading.Event()
 
