@@ -354,7 +354,7 @@ class Service:
                 continue
             there = [one.published, *(record.digest for record in self._rescored([one]))]
             for digest in (each for each in there if each not in latest or latest[each].action != "withdrawn"):
-                self.store.add_status_change(StatusChange(digest, "withdrawn", one.reason, one.notice))
+                self.store.add_status_change(StatusChange(digest, "withdrawn", one.reason, self.now()))
 
     def _settle(self) -> None:
         """Complete what a crash left undone: bring the board in line with what the database calls published or

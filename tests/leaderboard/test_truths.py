@@ -14,7 +14,7 @@ from oysterbench.results.records import write_results
 from oysterbench_leaderboard.boards.index import open_index
 from oysterbench_leaderboard.publishing import truths
 from oysterbench_leaderboard.publishing.publish import publish
-from oysterbench_leaderboard.publishing.truths import DO, Stated, held_since
+from oysterbench_leaderboard.publishing.truths import DO, Stated, contradicted, current, held_since, stated_in
 from oysterbench_leaderboard.publishing.verifying import verify
 from oysterbench_leaderboard.site.export import export
 from oysterbench_leaderboard.site.server import application
@@ -235,6 +235,31 @@ def test_the_first_ground_truth_that_is_reported_is_kept_and_another_refused(ser
     late = service.get("others", reported(service, "others", [replace(one, seed=5) for one in invented]))
     assert (late.state, late.reason) == ("failed", odd)
     assert service.store.digests() == [published]
+
+
+def fail(*given):
+    """Stand for what writes to a board whose folder is closed."""
+    raise PermissionError
+
+
+def test_a_record_comes_back_when_the_board_is_told_of_the_withdrawal(service, results, monkeypatch):
+    forged = reported(service, "others", [replace(result, truth_digest="0" * 64) for result in results])
+    service.publish("others", forged)
+    service.clock.now += 60
+    instead = reported(service, "others", [replace(result, seed=5) for result in results])
+    service.publish("others", instead)
+    service.clock.now += 60
+    with monkeypatch.context() as closed:
+        closed.setattr(service.store, "add_status_change", fail)
+        with pytest.raises(PermissionError):
+            service.withdraw("others", instead)
+    service.clock.now += 60
+    service.publish("reef lab", reported(service, "reef lab", results))
+    service.clock.now += 60
+    service.withdraw("others", instead)
+    every, changes = stated_in(service.store)
+    odd = contradicted(current(every, changes), lambda: held_since(every, changes))
+    assert list(odd) == [service.get("others", forged).published]
 
 
 def test_of_two_that_are_published_at_once_one_is_refused(service, results, monkeypatch):
