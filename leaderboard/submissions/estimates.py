@@ -7,8 +7,9 @@ import hashlib
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,15 @@ def upload_of(path: Path) -> Upload:
     """Upload of an existing file; computes its SHA-256."""
     with open(path, "rb") as file:
         return Upload(path, hashlib.file_digest(file, "sha256").hexdigest(), path.stat().st_size)
+
+
+def remove_left(folder: Path, most_s: float) -> None:
+    """Delete files that were being received when a server ended: receiving takes `most_s` seconds at most."""
+    oldest = time.time() - most_s
+    for path in folder.iterdir():
+        with suppress(FileNotFoundError):
+            if path.stat().st_mtime < oldest:
+                path.unlink()
 
 
 @dataclass(frozen=True)

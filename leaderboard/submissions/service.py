@@ -8,7 +8,6 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -36,7 +35,7 @@ from oysterbench_leaderboard.submissions.database import (
     submissions,
     utc,
 )
-from oysterbench_leaderboard.submissions.estimates import Estimates, Upload
+from oysterbench_leaderboard.submissions.estimates import Estimates, Upload, remove_left
 from oysterbench_leaderboard.submissions.private_log import private_log
 from oysterbench_leaderboard.submissions.reading.refusals import SERVER_FAULTS, Refusal
 from oysterbench_leaderboard.submissions.sandbox import namespaces, sandbox
@@ -274,14 +273,19 @@ class Service:
                     record = self._in_place(connection, found)
                     # On disk before the database refers to it, so that publication can be completed after a crash.
                     self.scored.add(record)
-                    at = self.now()
-                    change(connection, id, at, published=record.digest)
+                    change(connection, id, at := self.now(), published=record.digest)
                     log_event(connection, at, team, "published", id, record.digest)
                     found = replace(found, published=record.digest, updated=at)
-            if new := found.published not in self.store.digests():  # also where an earlier attempt to write it failed
+            if found.published in self.store.digests():  # not so where a crash came in between
+                return found
+            try:
                 self._show(self.scored.record(found.published))
-        if new:
-            self.changed()
+            except OSError:  # as if it had not been tried: when it is again, others may be there
+                with self.database.writing() as connection:
+                    change(connection, id, at := self.now(), published="")
+                    log_event(connection, at, team, "unpublished", id, "it could not be written to the board")
+                raise
+        self.changed()
         return found
 
     def _in_place(self, connection: Connection, found: Submission) -> Record:
@@ -369,11 +373,7 @@ class Service:
                 self.log.error("submission %s was not put on the board again: %s", submission.id, error)
         # Also those that have their marks: they may have been scored again since.
         self._announce([submission for submission in shown if submission.notice])
-        oldest = time.time() - self.settings.upload_s
-        for path in self.incoming.iterdir():
-            with suppress(FileNotFoundError):
-                if path.stat().st_mtime < oldest:
-                    path.unlink()
+        remove_left(self.incoming, self.settings.upload_s)
 
     # Scoring, for the dispatcher:
 
