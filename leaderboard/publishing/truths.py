@@ -143,8 +143,6 @@ def other_truth(store: RecordStore, records: Sequence[Record]) -> str:
     replaced = {one.owner for one in new}
     every, changes = stated_in(store, {record.split_digest for record in records})
     there = [one for one in current(every, changes) if one.owner not in replaced]
-    if any(one.is_ranked for one in new):
-        there = [one for one in there if one.is_ranked]
     found = contradicted([*there, *new], lambda: held_since(every, changes))
     return next((f"{found[one.claim.digest]}: {DO}" for one in new if one.claim.digest in found), "")
 

@@ -78,6 +78,12 @@ def test_what_anybody_wrote_down_keeps_no_ranked_record_off_the_board(store):
     publish(store, [(record_made("carp"), None)])
 
 
+def test_what_comes_with_a_ranked_record_has_to_agree_with_reported_ones_all_the_same(store):
+    publish(store, [(record_made("carp", tier="reported"), None)])
+    with pytest.raises(ResultError, match="carp by reef lab: render the split again"):
+        publish(store, [(against(record_made("cod"), ""), None), (FORGED, None)])
+
+
 @pytest.mark.parametrize("met", [True, False])
 def test_a_record_that_comes_back_counts_as_if_it_had_come_then(met, store):
     """The board agreed on a ground truth without it; but it was there before what came after that."""
