@@ -81,6 +81,14 @@ def test_boards_and_comparisons_say_what_a_failure_and_a_lacking_sequence_score(
         assert any(said in note for note in notes), notes
 
 
+@pytest.mark.parametrize("track", ["segmentation", "detection", "steering"])
+def test_a_board_that_shows_no_coverage_does_not_refer_to_it(track, tmp_path):
+    store = RecordStore(tmp_path / "board")
+    store.add(record_made(split="a-val", track=track))
+    table = board_page(Site(open_index(store, str(tmp_path / "index.sqlite"))), track, "a-val").tables[0]
+    assert not any("coverage" in note for note in table.notes), table.notes
+
+
 def test_boards_of_one_split_are_told_apart_by_the_settings_that_are_not_usual(tmp_path):
     store = RecordStore(tmp_path / "board")
     usual = record_made(method="usual", track="slam")

@@ -310,8 +310,7 @@ def _notes(info: BoardInfo, rows: Sequence[Row]) -> tuple[str, ...]:
         if metric is not None and metric.weight
         else f"Means over {numbers.count(len(info.sequences), 'sequence')}, each the mean of its runs"
     )
-    rest = lost_note(info.track) or "Errors cover only what was estimated: mind the coverage."
-    notes = [f"{mean}. {failures_note(info.track)} {rest}"]
+    notes = [f"{mean}. {failures_note(info.track)} {lost_note(info.track)}".rstrip()]
     if rows and (lacking := lacks(info.split, info.track)):
         notes.append(lacking)
     notes += [note for note in (machines_note(rows, info.columns),) if note]
