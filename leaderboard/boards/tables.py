@@ -112,7 +112,7 @@ def role_of(split: str) -> str:
 @cache
 def learnt_on(split: str) -> str:
     """Warning on a board whose images a method may have been trained on; empty for other boards."""
-    if role_of(split) in ("mini", "val", "test") or split not in split_names():
+    if role_of(split) in ("mini", "val", "test", "stress") or split not in split_names():
         return ""
     kind = split.partition("-")[0]
     return f"{split} is a training split: methods may have been trained on it. Compare them on {kind}-val."

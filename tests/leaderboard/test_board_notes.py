@@ -23,7 +23,14 @@ from tests.helpers.records_made import record_made
 
 @pytest.mark.parametrize(
     ("split", "told"),
-    [("slam-train", "slam-val."), ("seg-closeup", "seg-val."), ("slam-val", ""), ("slam-mini", ""), ("my-train", "")],
+    [
+        ("slam-train", "slam-val."),
+        ("seg-closeup", "seg-val."),
+        ("slam-val", ""),
+        ("slam-mini", ""),
+        ("slam-stress", ""),
+        ("my-train", ""),
+    ],
 )
 def test_a_board_of_pictures_to_learn_on_says_so(split, told, tmp_path):
     store = RecordStore(tmp_path / "board")

@@ -9,7 +9,7 @@ from oysterbench_leaderboard.boards.board import Row
 from oysterbench_leaderboard.boards.tables import rank_text
 
 ABOUT_TIERS = {
-    "baseline": "Run and scored by us, from this project's source.",
+    "baseline": "Run and scored by us: this project's methods, and published systems.",
     "scored": "Estimates by others, scored by a server: against ground truth that they cannot have where the split is "
     "hidden, and that anyone can make where it is public.",
     "reported": "Results computed by their authors: shown, but not ranked.",
