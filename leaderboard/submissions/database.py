@@ -239,6 +239,13 @@ def change(connection: Connection, id: str, at: str, *conditions: Any, **values:
     return connection.execute(statement).rowcount == 1
 
 
+def unpublish(database: SubmissionDatabase, one: Submission, at: str) -> None:
+    """Take back a publication that could not be written to the board, unless its team has withdrawn it meanwhile."""
+    with database.writing() as connection:
+        if change(connection, one.id, at, submissions.c.state == "done", published=""):
+            log_event(connection, at, one.team, "unpublished", one.id, "it could not be written to the board")
+
+
 def log(connection: Connection, submission: str = "", limit: int = 200) -> list[dict[str, Any]]:
     """Return the newest `limit` events in chronological order; only those of one submission, if it is given."""
     query = select(events).order_by(events.c.number.desc()).limit(limit)

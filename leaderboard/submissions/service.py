@@ -33,6 +33,7 @@ from oysterbench_leaderboard.submissions.database import (
     lock_team,
     log_event,
     submissions,
+    unpublish,
     utc,
 )
 from oysterbench_leaderboard.submissions.estimates import Estimates, Upload, remove_left
@@ -253,8 +254,7 @@ class Service:
 
     def queued_before(self, submission: Submission) -> int:
         """Number of queued submissions that are older than this one."""
-        c = submissions.c
-        query = select(func.count()).select_from(submissions)
+        c, query = submissions.c, select(func.count()).select_from(submissions)
         with self.database.reading() as connection:
             return connection.execute(query.where(c.state == "queued", c.created_s < submission.created_s)).scalar_one()
 
@@ -269,22 +269,24 @@ class Service:
                 found = self._own(connection, team, id, lock=True)
                 if found.state != "done":
                     raise Refusal("state", f"only finished submissions can be published; this one is {found.state}")
-                if not found.published:
+                if found.published in self.store.digests():
+                    return found
+                if new := not found.published:
                     record = self._in_place(connection, found)
                     # On disk before the database refers to it, so that publication can be completed after a crash.
                     self.scored.add(record)
                     change(connection, id, at := self.now(), published=record.digest)
                     log_event(connection, at, team, "published", id, record.digest)
                     found = replace(found, published=record.digest, updated=at)
-            if found.published in self.store.digests():  # not so where a crash came in between
-                return found
+                elif odd := other_truth(self.store, [self.scored.record(found.published)]):  # as others may be there
+                    raise Refusal("state", odd)
             try:
                 self._show(self.scored.record(found.published))
-            except OSError:  # as if it had not been tried: when it is again, others may be there
-                with self.database.writing() as connection:
-                    change(connection, id, at := self.now(), published="")
-                    log_event(connection, at, team, "unpublished", id, "it could not be written to the board")
-                raise
+            except OSError:
+                if found.published not in self.store.digests():  # a network disk may have done it, and fail after that
+                    if new:  # as if it had not been tried: when it is again, others may be there
+                        unpublish(self.database, found, self.now())
+                    raise
         self.changed()
         return found
 
@@ -353,8 +355,7 @@ class Service:
         idempotent. Those that are withdrawn already keep the reason: it may be that of the operators."""
         latest = {change.record: change for change in self.store.read_status_changes()[0]}
         for one in gone:
-            last = latest.get(one.published)
-            if last is not None and last.action == "restored" and last.created > one.notice:
+            if (last := latest.get(one.published)) and last.action == "restored" and last.created > one.notice:
                 continue
             there = [one.published, *(record.digest for record in self._rescored([one]))]
             for digest in (each for each in there if each not in latest or latest[each].action != "withdrawn"):
@@ -363,9 +364,8 @@ class Service:
     def _settle(self) -> None:
         """Complete what a crash left undone: bring the board in line with what the database calls published or
         withdrawn, and delete files that were being received when the server ended."""
-        c = submissions.c
         with self.database.reading() as connection:
-            shown = find(connection, c.published != "")
+            shown = find(connection, submissions.c.published != "")
         for submission in shown:
             try:
                 self._show(self.scored.record(submission.published))

@@ -227,6 +227,53 @@ def test_what_a_crash_left_between_database_and_board_is_done_at_the_next_start(
     again.close()
 
 
+def fail(*given):
+    """Stand for what writes to a board that is not there."""
+    raise PermissionError
+
+
+def test_what_is_published_already_is_so_still_when_the_board_was_out_of_reach(service, tmp_path, monkeypatch):
+    one = service.publish("reef lab", done(service, tmp_path))
+    there = service.store.folder / "records"
+    with monkeypatch.context() as closed:
+        closed.setattr(service.store, "add", fail)
+        away = there.rename(there.with_name("away"))
+        with pytest.raises(PermissionError):
+            service.publish("reef lab", one.id)
+        away.rename(there)
+    service.withdraw("reef lab", one.id)
+    assert withdrawn(service.store.status_changes()) == {one.published}
+
+
+def test_what_is_on_the_board_is_published_though_writing_it_seemed_to_fail(service, tmp_path, monkeypatch):
+    told, add = [], service.store.add
+
+    def add_and_fail(record):
+        add(record)
+        fail()
+
+    service.changed = lambda: told.append(1)
+    monkeypatch.setattr(service.store, "add", add_and_fail)
+    one = service.publish("reef lab", done(service, tmp_path))
+    assert service.store.digests() == [one.published] == [service.get("reef lab", one.id).published]
+    assert told == [1]
+
+
+def test_what_is_withdrawn_while_its_publication_fails_is_withdrawn_where_it_comes_yet(service, tmp_path, monkeypatch):
+    id = done(service, tmp_path)
+
+    def withdraw_and_fail(record):
+        service.withdraw("reef lab", id)
+        fail()
+
+    with monkeypatch.context() as closed:
+        closed.setattr(service.store, "add", withdraw_and_fail)
+        with pytest.raises(PermissionError):
+            service.publish("reef lab", id)
+    published = service.withdraw("reef lab", id).published
+    assert [change.record for change in service.store.status_changes()] == [published]
+
+
 def test_what_was_scored_again_before_or_after_a_withdrawal_is_withdrawn_at_the_next_start(service, tmp_path):
     one = service.publish("reef lab", done(service, tmp_path))
     before = rescored(service, one.published)

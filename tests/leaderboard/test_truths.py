@@ -262,6 +262,18 @@ def test_a_publication_that_failed_is_checked_again_when_it_is_completed(service
     assert service.store.digests() == [published]
 
 
+def test_a_publication_that_a_crash_cut_short_is_checked_again_when_it_is_completed(service, results, monkeypatch):
+    early = reported(service, "others", [replace(result, truth_digest="0" * 64) for result in results])
+    honest = reported(service, "reef lab", results)
+    with monkeypatch.context() as killed:
+        killed.setattr(service, "_show", lambda record: None)
+        service.publish("others", early)
+    published = service.publish("reef lab", honest).published
+    with pytest.raises(Refusal, match=DO):
+        service.publish("others", early)
+    assert service.store.digests() == [published]
+
+
 def test_a_record_comes_back_when_the_board_is_told_of_the_withdrawal(service, results, monkeypatch):
     forged = reported(service, "others", [replace(result, truth_digest="0" * 64) for result in results])
     service.publish("others", forged)
