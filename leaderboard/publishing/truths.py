@@ -103,35 +103,36 @@ def _times_of(method: Sequence[Stated], changes: Sequence[StatusChange]) -> Iter
     yield from ((one, start, STILL) for one, start in since.items())
 
 
-def by_trust(several: Iterable[Stated], since: Mapping[Said, Moment]) -> list[Stated]:
-    """Ranked records first, as anybody can write reported results down, and of these those whose ground truths have
-    been on the board longest without a break: what came in meanwhile was checked without others. since: `held_since`"""
+def by_trust(several: Iterable[Stated], since: Mapping[Said, Moment]) -> list[tuple[Stated, str]]:
+    """Records with each sequence of which they name the ground truth: those of ranked records first, as anybody can
+    write reported results down, and of these those that have been on the board longest without a break: what came in
+    meanwhile was checked without others. since: `held_since`"""
 
-    def order(one: Stated) -> tuple[bool, Moment, str, str]:
-        latest = max((since.get(said, STILL) for said in one.said(one.is_ranked)), default=STILL)
-        return not one.is_ranked, latest, one.claim.created, one.claim.digest
+    def order(pair: tuple[Stated, str]) -> tuple[bool, Moment, str, str]:
+        one, name = pair
+        said = one.claim.board, name, one.truths[name], one.is_ranked
+        return not one.is_ranked, since.get(said, STILL), one.claim.created, one.claim.digest
 
-    return sorted(several, key=order)
+    return sorted(((one, name) for one in several for name in one.truths), key=order)
 
 
 def contradicted(several: Collection[Stated], since: Callable[[], Mapping[Said, Moment]]) -> dict[str, str]:
     """Digest of a record -> in what its ground truth is another than that of one on its board that is trusted more.
-    since: returns `held_since`, which takes long, and is asked only where there is such a record"""
-    return contradicting(by_trust(several, since())) if contradicting(several) else {}
-
-
-def contradicting(several: Iterable[Stated]) -> dict[str, str]:
-    """Digest of a record -> in what its ground truth is another than that of a record before it on the same board."""
-    known: dict[tuple[str, str], Stated] = {}
-    found = {}
+    since: returns `held_since`, which takes long, and is asked only where two differ"""
+    of: dict[tuple[str, str], list[Stated]] = defaultdict(list)
     for one in several:
-        board = one.claim.board
-        before = {name: known.get((board, name), one) for name in one.truths}
-        if odd := [name for name, other in before.items() if other.truths[name] != one.truths[name]]:
-            other = before[odd[0]].name
-            found[one.claim.digest] = f"{odd[0]}: scored against another ground truth than record {other}"
+        for name in one.truths:
+            of[one.claim.board, name].append(one)
+    found: dict[str, str] = {}
+    if all(one.truths[name] == those[0].truths[name] for (_, name), those in of.items() for one in those):
+        return found
+    for one, name in by_trust(several, since()):
+        if one.claim.digest in found:
             continue
-        known |= {(board, name): other for name, other in before.items()}
+        for other in of.pop((one.claim.board, name), ()):
+            if other.truths[name] != one.truths[name]:
+                why = f"{name}: scored against another ground truth than record {one.name}"
+                found.setdefault(other.claim.digest, why)
     return found
 
 

@@ -131,6 +131,22 @@ def test_a_ground_truth_is_believed_from_when_it_came_whichever_records_have_sai
     assert list(verify(store).problems) == [f"records/{forged}.json"]
 
 
+def test_a_ground_truth_is_believed_whichever_others_a_record_names(store):
+    """An invented one that came back is not believed because a record has named more sequences since."""
+
+    def first(record):
+        return replace(record, results=record.results[:1])
+
+    made = partial(record_made, tier="reported")
+    ((_, forged, _),) = publish(store, [(first(FORGED), None)])
+    ((_, instead, _),) = publish(store, [(made("forged", "somebody", created="2020-01-02T00:00:00Z"), None)])
+    publish(store, [(first(made("carp", created="2020-01-03T00:00:00Z")), None)])
+    store.add_status_change(StatusChange(instead, "withdrawn", "by the team", "2020-01-04T00:00:00Z"))
+    publish(store, [(made("carp", skill=0.7, created="2020-01-05T00:00:00Z"), None)])
+    publish(store, [(first(made("cod", created="2020-01-06T00:00:00Z")), None)])
+    assert list(verify(store).problems) == [f"records/{forged}.json"]
+
+
 def test_since_when_a_ground_truth_is_there_takes_no_longer_for_the_many_methods_of_a_team(monkeypatch):
     several = [record_made(f"carp{k}", created=f"2020-01-01T00:00:{k:02d}Z") for k in range(30)]
     seen, states = [], truths.states
