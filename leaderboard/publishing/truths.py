@@ -62,40 +62,43 @@ class Stated:
         return {(self.claim.board, *truth, ranked) for truth in self.truths.items()}
 
 
-def held_since(every: Iterable[Stated], changes: Sequence[StatusChange]) -> dict[Said, Moment]:
+def held_since(every: Collection[Stated], changes: Sequence[StatusChange]) -> dict[Said, Moment]:
     """Since when each ground truth has been on its board without a break, whichever records said so; STILL where none
     does now.
 
     every: records, whatever their state; changes: of their status
     """
-    methods: dict[tuple[str, str], list[Stated]] = defaultdict(list)
-    for one in every:
-        methods[one.owner[1:]].append(one)
+    methods = {one.claim.digest: one.owner[1] for one in every}
+    mixed = {one.owner[2] for one in every if methods.get(one.claim.supersedes, one.owner[1]) != one.owner[1]}
+    apart: dict[tuple[str, str], list[Stated]] = defaultdict(list)
+    for one in every:  # whole teams take long, and few, if any, name a record of another method as replaced
+        _, method, team = one.owner
+        apart["" if team in mixed else method, team].append(one)
     times: dict[Said, list[tuple[Moment, Moment]]] = defaultdict(list)
-    for method in methods.values():
-        for one, start, end in _times_of(method, changes):
+    for several in apart.values():
+        for one, start, end in _times_of(several, changes):
             for said in one.said(False) | one.said(one.is_ranked):
                 times[said].append((end, start))
     found = dict.fromkeys(times, STILL)
-    for said, several in times.items():
-        for end, start in sorted(several, reverse=True):
+    for said, spans in times.items():
+        for end, start in sorted(spans, reverse=True):
             if end >= found[said]:
                 found[said] = min(start, found[said])
     return found
 
 
-def _times_of(method: Sequence[Stated], changes: Sequence[StatusChange]) -> Iterator[tuple[Stated, Moment, Moment]]:
-    """Start and end of each time in which a record of a team's method was current: STILL where it is. None takes the
-    place of one of another method."""
-    digests = {one.claim.digest for one in method}
+def _times_of(several: Sequence[Stated], changes: Sequence[StatusChange]) -> Iterator[tuple[Stated, Moment, Moment]]:
+    """Start and end of each time in which one of some records was current: STILL where it is. several: all that take
+    the place of one another"""
+    digests = {one.claim.digest for one in several}
     changes = sorted((each for each in changes if each.record in digests), key=StatusChange.order)
     first = {each.record: each.created for each in reversed(changes)}
-    came = {one: (min(one.claim.created, first.get(one.claim.digest, STILL[0])), False) for one in method}
+    came = {one: (min(one.claim.created, first.get(one.claim.digest, STILL[0])), False) for one in several}
     since: dict[Stated, Moment] = {}
     for at in sorted({*came.values(), *((each.created, True) for each in changes)}):
         gone = withdrawn(each for each in changes if (each.created, True) <= at)
-        state = states((one.claim for one in method if came[one] <= at), gone)
-        for one in method:
+        state = states((one.claim for one in several if came[one] <= at), gone)
+        for one in several:
             if state.get(one.claim.digest) == "current":
                 since.setdefault(one, at)
             elif one in since:

@@ -158,6 +158,16 @@ def test_since_when_a_ground_truth_is_there_takes_no_longer_for_the_many_methods
     assert len(seen) == len(several)
 
 
+def test_a_record_was_absent_while_one_that_names_it_was_there_under_another_method(store):
+    made = partial(record_made, tier="reported")
+    forged = store.add(FORGED)
+    renamed = replace(made("renamed", "somebody", created="2020-01-02T00:00:00Z"), supersedes=forged)
+    store.add(renamed)
+    store.add(made("cod", created="2020-01-03T00:00:00Z"))
+    store.add_status_change(StatusChange(renamed.digest, "withdrawn", "by the team", "2020-01-04T00:00:00Z"))
+    assert list(verify(store).problems) == [f"records/{forged}.json"]
+
+
 def test_a_reported_record_that_was_withdrawn_was_never_in_the_place_of_a_ranked_one(store):
     carp = store.add(record_made("carp", created="2020-01-01T00:00:00Z"))
     store.add(against(record_made("cod", created="2020-01-02T00:00:00Z")))
