@@ -47,6 +47,15 @@ def test_a_file_that_may_not_be_read_is_not_one_to_write_elsewhere(tmp_path, mon
     )
 
 
+def test_the_file_of_another_user_such_as_a_lock_is_not_made_readable_for_that_user(tmp_path, monkeypatch):
+    file = tmp_path / ".publishing.lock"
+    file.touch()
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    monkeypatch.setattr(os, "geteuid", lambda: file.stat().st_uid + 1)
+    error = PermissionError(errno.EACCES, "no", str(file))
+    assert told(error) == f"{file}: no; it belongs to another user, as whom you may run the same command"
+
+
 def export(file, out, form):
     return CliRunner().invoke(main, ["export", str(file), "--format", form, "--out", str(out)])
 
