@@ -100,7 +100,7 @@ class Submission:
     attempt:   number of times that its scoring was started
     reason:    why it failed, or was withdrawn
     record:    digest of the scored record, kept privately; published: of the record on the board; empty for none
-    notice:    when it was withdrawn from the board; empty where it was not
+    notice:    when its team withdrew it from the board, which may be told later; empty where it did not
     created, updated: UTC, ISO 8601
     """
 
