@@ -242,6 +242,8 @@ def test_every_system_has_a_container_recipe():
         assert f"oysterbench systems build {system.name}" in text
         assert "not on /data itself" in text  # which would hide the build
         assert all(package in text for package in system.description.packages)
+        assert text.index("\nENV PIP_NO_CACHE_DIR=1\n") < text.index("pip install")  # a system's own packages included
+        assert ("ARG PIP_EXTRA_INDEX_URL\n" in text) == (system.name == "segformer")
         configured = import_module(f"{system.module}.configure")
         assert system.description.renders == hasattr(configured, "prepare") == ("[render," in text)
 
