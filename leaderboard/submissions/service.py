@@ -254,9 +254,9 @@ class Service:
 
     def queued_before(self, submission: Submission) -> int:
         """Number of queued submissions that are older than this one."""
-        c, query = submissions.c, select(func.count()).select_from(submissions)
+        older = submissions.c.state == "queued", submissions.c.created_s < submission.created_s
         with self.database.reading() as connection:
-            return connection.execute(query.where(c.state == "queued", c.created_s < submission.created_s)).scalar_one()
+            return connection.execute(select(func.count()).select_from(submissions).where(*older)).scalar_one()
 
     # Publishing:
 

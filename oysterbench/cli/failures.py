@@ -36,6 +36,6 @@ def _next_step(number: int | None, path: Path | None) -> str:
         return ""
     if path.is_file() and not os.access(path, os.R_OK):
         if path.stat().st_uid != os.geteuid():
-            return "; it belongs to another user, as whom you may run the same command"
+            return "; it belongs to another user: run the same command as that user"
         return f"; `chmod u+r {path}` lets its owner read it"
     return f"; choose {where} that you may write to"

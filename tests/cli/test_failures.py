@@ -53,7 +53,7 @@ def test_the_file_of_another_user_such_as_a_lock_is_not_made_readable_for_that_u
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     monkeypatch.setattr(os, "geteuid", lambda: file.stat().st_uid + 1)
     error = PermissionError(errno.EACCES, "no", str(file))
-    assert told(error) == f"{file}: no; it belongs to another user, as whom you may run the same command"
+    assert told(error) == f"{file}: no; it belongs to another user: run the same command as that user"
 
 
 def export(file, out, form):
