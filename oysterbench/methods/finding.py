@@ -66,7 +66,10 @@ def _points() -> dict[str, EntryPoint]:
 def _load_point(name: str) -> Any:
     points = _points()
     if name not in points:
-        meant = did_you_mean(nearest(name, points))
+        from oysterbench.methods.systems import systems  # which imports this module
+
+        published = (method for system in systems().values() for method in system.description.methods)
+        meant = did_you_mean(nearest(name, [*points, *published]))
         raise MethodError(
             f"unknown method {name!r}; {meant}installed methods: {', '.join(sorted(points)) or 'none'}; give a class "
             "as module:Class, any other program with `oysterbench run --command`; `oysterbench systems` lists "

@@ -304,10 +304,10 @@ def _time_axis(span: tuple[float, float]) -> Axis:
 def _note(away: Sequence[str]) -> str:
     """Note on the curves that leave the plot, short enough to fit above it."""
     if len(away) == 1 and len(away[0]) <= 20:
-        return f"{away[0]} leaves this image"
+        return f"{away[0]} leaves this plot"
     if not away:
         return ""
-    return "1 estimate leaves this image" if len(away) == 1 else f"{len(away)} estimates leave this image"
+    return "1 estimate leaves this plot" if len(away) == 1 else f"{len(away)} estimates leave this plot"
 
 
 def _mark(truth: Curve, i: int, kind: str, x_axis: Axis, y_axis: Axis) -> str:

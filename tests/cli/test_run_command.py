@@ -313,7 +313,7 @@ def test_an_unknown_option_is_one_line_with_those_like_it(home):
 def test_an_unknown_method_is_named_before_anything_is_rendered(home):
     done = run_here("run", "orb_slam", "--split", "slam-mini")
     assert done.returncode == 1
-    assert "unknown method 'orb_slam'; installed methods: " in done.stderr
+    assert "unknown method 'orb_slam'; did you mean orb_slam3_mono? installed methods: " in done.stderr
     assert "module:Class" in done.stderr
     assert not home.exists()
 

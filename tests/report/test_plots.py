@@ -39,7 +39,7 @@ def test_axes_of_a_map_are_equal():
 def test_an_estimate_that_runs_away_leaves_the_truth_visible():
     truth = Curve("truth", np.array([0.0, 10.0, 10.0]), np.array([0.0, 0.0, 5.0]), 0)
     svg = map_plot([truth, Curve("lost", np.array([0.0, 1e6]), np.array([0.0, 1e6]), 1)], "above", "x [m]", "y [m]")
-    assert "lost leaves this image" in svg
+    assert "lost leaves this plot" in svg
     first, last = re.search('class="c0" data-label="truth" d="M([0-9.]+) [0-9.]+L([0-9.]+)', svg).groups()
     assert float(last) - float(first) > 100
 
@@ -77,7 +77,7 @@ def test_an_estimate_that_is_far_too_sure_stays_in_the_frame_and_is_named():
     t = np.arange(5.0)
     sure, sane = Curve("sure", t, 1e12 + t, 1), Curve("sane", t, np.full(5, 3.0), 2)
     svg = nees_plot([sure, sane], "NEES", "t [s]", "e2 / covariance", (0, 4), 3)
-    assert "sure leaves this image" in svg
+    assert "sure leaves this plot" in svg
     top, height = map(float, re.search(r'class="frame" x="\S+" y="(\S+)" width="\S+" height="(\S+)"', svg).groups())
     ys = [float(y) for data in re.findall(' d="(M[^"]*L[^"]*)"', svg) for y in re.findall(r"[ML]\S+ (-?[\d.]+)", data)]
     assert top == min(ys) < max(ys) < top + height
